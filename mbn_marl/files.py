@@ -40,6 +40,12 @@ def check_free(path: Path, *, force: bool = False) -> None:
         raise MbnError(f"{path} already exists; {allowed}")
 
 
+def check_ending(path: Path, *allowed: str) -> Path:
+    if path.suffix.lower() not in allowed:
+        raise MbnError(f"{path}: the file name has to end in {', '.join(allowed)}")
+    return path
+
+
 def claim_file(path: Path, *, force: bool = False) -> Path:
     """Make ``path`` free for a new file; with ``force`` an old one moves to :func:`free_name`."""
     check_free(path, force=force)

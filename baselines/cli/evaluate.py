@@ -196,14 +196,15 @@ class Zoo:
     if it was trained on random fields."""
 
     def run(self, command_line: str) -> None:
-        from baselines.policies.load import ENTRIES, entry_names, read_card
+        from baselines.policies.load import CARD, ENTRIES, entry_names
+        from baselines.runs.files import read_json
         from baselines.runs.folder import RunFolder
         from baselines.zoo.make import make_entry
         from mbn_marl.field import FieldSampler
 
         check_options("zoo", {"out: allowed with --add": self.out and self.add is None})
         if self.add is None:
-            print_cards([read_card(name) for name in entry_names()])
+            print_cards([read_json(ENTRIES / name / CARD) for name in entry_names()])
             return
         run = RunFolder.open(self.add)
         sampled, config = isinstance(run.fields, FieldSampler), run.config
@@ -242,11 +243,12 @@ class Export(Writes):
     """A name of `mbn fields`, or a field file; by default that of the run or of zoo:NAME."""
 
     def run(self, command_line: str) -> None:
-        from baselines.policies.export import ALLOWED, check_name, export_policy
+        from baselines.policies.export import ALLOWED, export_policy
         from baselines.policies.load import check_known, find_policy, is_trained
         from mbn_marl.config import make_config
+        from mbn_marl.files import check_ending
 
-        check_name(self.out)
+        check_ending(self.out, ".onnx")
         check_known(self.policy)
         check_options("export", {f"{self.policy}: {ALLOWED}": not is_trained(self.policy)})
         policy = find_policy(self.policy, self.field)

@@ -31,13 +31,12 @@ class Render(Subject):
     """Stop after so many steps; by default at the end of the episode."""
 
     def run(self, command_line: str) -> None:
-        from baselines.evaluation.rollout import check_ending, write_episode
-        from mbn_marl.files import check_free, claim_file
+        from baselines.evaluation.rollout import FORMATS, write_episode
+        from mbn_marl.files import check_ending, check_free, claim_file
 
         few = self.steps is not None and self.steps < 1
         check_options("render", {f"steps: at least 1, not {self.steps}": few})
-        check_ending(self.out)
-        check_free(self.out, force=self.force)
+        check_free(check_ending(self.out, *FORMATS), force=self.force)
         episode = self._episode()
         write_episode(episode, claim_file(self.out, force=self.force))
         print(result(episode))
@@ -91,13 +90,10 @@ class Replay(Writes):
 
     def run(self, command_line: str) -> None:
         from mbn_marl.episode import check_episode, load_episode
-        from mbn_marl.errors import MbnError
-        from mbn_marl.files import check_free, claim_file, replacing
+        from mbn_marl.files import check_ending, check_free, claim_file, replacing
         from mbn_marl.render.web import replay_page
 
-        if self.out.suffix.lower() != ".html":
-            raise MbnError(f"{self.out}: the file name has to end in .html")
-        check_free(self.out, force=self.force)
+        check_free(check_ending(self.out, ".html"), force=self.force)
         episodes = {path: load_episode(path) for path in self.episodes}
         for path, episode in episodes.items():
             check_episode(episode, str(path))
@@ -133,15 +129,12 @@ class _Window(Subject):
         from baselines.evaluation.window import watch
         from baselines.policies.load import find_policy, of_zoo
         from mbn_marl.episode import save_episode
-        from mbn_marl.errors import MbnError
-        from mbn_marl.files import check_free, claim_file
+        from mbn_marl.files import check_ending, check_free, claim_file
 
         how: dict[str, Any] = {"seed": self.seed, "alone": of_zoo, **self.asked}
         actor = find_policy(self.source, self.field, **how)
         if self.out is not None:
-            if self.out.suffix.lower() != ".json":
-                raise MbnError(f"{self.out}: the file name has to end in .json")
-            check_free(self.out, force=self.force)
+            check_free(check_ending(self.out, ".json"), force=self.force)
         shown = watch(
             actor,
             driven=self.robot if isinstance(self, Play) else None,

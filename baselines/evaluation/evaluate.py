@@ -1,7 +1,5 @@
 """Fresh evaluation episodes: true returns, in worlds that training never saw."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -17,8 +15,9 @@ from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.field import Field, FieldSampler
 
+# Seed of the evaluation episodes, the same for every run; those of training are others.
 EVALUATION_SEED = 1_000_003
-"""Seed of the evaluation episodes, the same for every run; those of training are others."""
+# The lists of an evaluation, and the engine's metrics in them.
 LISTS = {
     "returns": "episode_return",
     "successes": "success",
@@ -27,13 +26,10 @@ LISTS = {
     "rois_visited": "rois_visited",
     "wall_hits": "wall_hits",
 }
-"""The lists of an evaluation, and the engine's metrics in them."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The episodes of one evaluation, each list with one entry per episode."""
-
     deterministic: bool  # whether the policy's mean action was taken, or a sampled one
     seed: int  # of the episodes and of the sampled actions
     returns: list[float]  # true team returns (undiscounted, reward units)
@@ -46,7 +42,6 @@ class Evaluation:
 
     @property
     def makespans(self) -> list[int]:
-        """The lengths of the successful episodes in env-steps."""
         return [steps for steps, ok in zip(self.steps, self.successes, strict=True) if ok]
 
     def summary(self) -> dict[str, Any]:
@@ -66,7 +61,6 @@ class Evaluation:
         }
 
     def to_json(self) -> dict[str, Any]:
-        """The summary, and every episode under ``per_episode``."""
         return {**self.summary(), "per_episode": {name: getattr(self, name) for name in LISTS}}
 
 
@@ -81,15 +75,8 @@ def evaluate(
     record: Iterable[int] = (),
     source: str = "",
 ) -> Evaluation:
-    """Run ``episodes`` fresh episodes (> 0) side by side, one world each.
-
-    A sampler draws a field for each world. ``deterministic`` takes the mean action instead of a
-    sampled one; the seed is that of the worlds and of sampled actions. The episodes of the worlds
-    in ``record`` (from 0) are recorded, with the policy's name, ``source``.
-
-    Raises:
-        ConfigError: the policy does not fit, see :meth:`~baselines.policies.policy.Policy.fit`.
-    """
+    """Run fresh episodes side by side; those of the worlds in ``record`` (from 0) are recorded."""
+    # A sampler draws a field for each world.
     engine = BatchEngine(field, episodes, seed=seed, threads=1, **settings)
     running = np.ones(episodes, dtype=bool)
     results: dict[str, np.ndarray] = {}
@@ -113,10 +100,7 @@ def evaluate(
 def roll_out(
     engine: BatchEngine, policy: Policy, *, deterministic: bool, seed: int
 ) -> Iterator[np.ndarray]:
-    """Reset the engine and let a policy act; yield at each step which episodes ended, (W,) bool.
-
-    Sampled actions come from torch's generator, which is seeded, and at the end put back.
-    """
+    """Reset the engine and let a policy act; yield at each step which episodes ended, (W,) bool."""
     policy = policy.fit(engine)
     policy.reset()
     observations = engine.reset()
@@ -156,10 +140,7 @@ def is_one_episode(policy: Policy, settings: Mapping[str, Any], *, deterministic
 def record_evaluation(
     policy: Policy, field: Field, settings: Mapping[str, Any], *, episodes: int, **how: Any
 ) -> dict[str, Episode]:
-    """The ``best``, the ``median`` and the ``worst`` episode with sampled actions, by return.
-
-    Arguments as for :func:`evaluate`, which sees the same episodes.
-    """
+    """Return the ``best``, ``median`` and ``worst`` episode of :func:`evaluate`, by return."""
     how |= {"episodes": episodes, "record": range(episodes)}
     evaluation = evaluate(policy, field, settings, **how)
     order = np.argsort(evaluation.returns, kind="stable")
@@ -170,7 +151,6 @@ def record_evaluation(
 def evaluate_both(
     policy: Policy, field: Field | FieldSampler, settings: Mapping[str, Any], **how: Any
 ) -> dict[str, Evaluation]:
-    """Evaluate with sampled actions (``stochastic``) and with mean ones (``deterministic``)."""
     return {
         name: evaluate(policy, field, settings, deterministic=name == "deterministic", **how)
         for name in ("stochastic", "deterministic")

@@ -1,25 +1,20 @@
 """Statistics over seeds. A run is one sample: its episodes are averaged before anything else."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+# A mean return at or above this needs the success of nearly every episode (r_inf = 100 000).
 RETURN_THRESHOLD = 100_000.0
-"""A mean return at or above this needs the success of nearly every episode (r_inf = 100 000)."""
+# Share of the episodes with sampled actions that have to succeed for a policy to pass.
 SUCCESS_THRESHOLD = 0.99
-"""Share of the episodes with sampled actions that have to succeed for a policy to pass."""
 
 
 def passes(
     sampled: Mapping[str, Any], mean_success_rate: float, threshold: float = RETURN_THRESHOLD
 ) -> bool:
-    """Return whether a policy does its task: by the summary of episodes with sampled actions.
-
-    Those with mean actions all have to succeed.
-    """
+    """Return whether a policy does its task, by the summary of episodes with sampled actions."""
     return bool(
         sampled["return_mean"] >= threshold
         and sampled["success_rate"] >= SUCCESS_THRESHOLD
@@ -36,13 +31,7 @@ class Interval(NamedTuple):
 
 
 def mean_interval(values: Sequence[float]) -> Interval:
-    """Mean and 95 % percentile-bootstrap interval (10 000 resamples, fixed generator).
-
-    It lies within ``[min(values), max(values)]``: with a handful of seeds it is too narrow.
-
-    Raises:
-        ValueError: ``values`` is empty.
-    """
+    """Mean and 95 % percentile-bootstrap interval: too narrow with a handful of seeds."""
     if not values:
         raise ValueError("a mean needs at least one value")
     sample = np.asarray(values, dtype=np.float64)
@@ -68,6 +57,5 @@ def share_interval(outcomes: Sequence[bool]) -> Interval:
 
 
 def mean_of_known(values: Iterable[float | None]) -> float | None:
-    """The mean of the values that are not ``None``; ``None`` if there are none."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None

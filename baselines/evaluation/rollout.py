@@ -1,7 +1,5 @@
 """One episode of a policy, and the files that show an episode."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from itertools import chain, repeat
 from pathlib import Path
@@ -15,16 +13,15 @@ from baselines.evaluation.evaluate import roll_out
 from baselines.policies.policy import Policy
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder, save_episode
-from mbn_marl.errors import MbnError
 from mbn_marl.field import Field
 from mbn_marl.render import Viewer, figures, write_gif, write_mp4
 
 ANIMATIONS = {".gif": write_gif, ".mp4": write_mp4}
 FORMATS = (*ANIMATIONS, *figures.FORMATS, ".json")
+# Pixels.
 ANIMATION_SIZE = (400, 400)
-"""Pixels."""
+# Frames that an animation rests on its end.
 REST = 20
-"""Frames that an animation rests on its end."""
 
 
 def record_episode(
@@ -37,10 +34,6 @@ def record_episode(
     limit: int | None = None,
     source: str = "",
 ) -> Episode:
-    """Record an episode of a policy; arguments and errors as of :func:`~.evaluate.evaluate`.
-
-    ``limit`` stops it after so many steps (> 0); by default it is whole.
-    """
     engine = BatchEngine(field, 1, seed=seed, autoreset="disabled", threads=1, **settings)
     with EpisodeRecorder(engine, source=source) as recorder:
         steps = roll_out(engine, policy, deterministic=deterministic, seed=seed)
@@ -50,20 +43,7 @@ def record_episode(
     return recorder.episodes[0]
 
 
-def check_ending(path: Path) -> None:
-    """Check that an episode can be written to ``path`` as far as its name goes."""
-    if path.suffix.lower() not in FORMATS:
-        raise MbnError(f"{path}: the file name has to end in {', '.join(FORMATS)}")
-
-
 def write_episode(episode: Episode, path: Path, title: str | None = None) -> None:
-    """Write an episode as the end of ``path`` says: the episode, an animation, or its paths.
-
-    ``title`` is that of the paths' picture.
-
-    Raises:
-        MbnError: another ending than :func:`check_ending` allows.
-    """
     ending = path.suffix.lower()
     if ending == ".json":
         save_episode(episode, path)
@@ -83,5 +63,4 @@ def _frames(episode: Episode) -> Iterator[NDArray[np.uint8]]:
 
 
 def draw_trajectories(episode: Episode, title: str | None = None) -> Figure:
-    """Draw the robots' paths."""
     return figures.trajectory_figure(episode.snapshot(episode.steps), title)

@@ -1,7 +1,5 @@
 """Evaluate a policy at several wind speeds."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,11 +21,7 @@ ALLOWED = (
 
 
 def parse_speeds(text: str) -> list[float]:
-    """Read wind speeds: ``0,0.1,..,0.5`` is ``0,0.1,0.2,0.3,0.4,0.5``.
-
-    Raises:
-        ConfigError: naming the word that is no speed, or that even steps do not reach.
-    """
+    """Read wind speeds: ``0,0.1,..,0.5`` is ``0,0.1,0.2,0.3,0.4,0.5``."""
     speeds: list[float] = []
     words = [word.strip() for word in text.split(",")]
     for before, word in itertools.pairwise(["", *words]):
@@ -60,15 +54,7 @@ def evaluate_in_wind(
     episodes: int,
     seed: int,
 ) -> tuple[list[dict[str, Any]], dict[str, Episode]]:
-    """Evaluate at every speed (units/step per step), with sampled and with mean actions.
-
-    The wind replaces that of the settings; its ``angle`` is in degrees from +x. An evaluation has
-    one episode where all would be the same.
-
-    Returns:
-        JSON values, an entry for every speed and way to act: see :func:`with_intervals`; and, by
-        its wind in words, the first episode with mean actions at each speed.
-    """
+    """Evaluate at every speed, both ways to act; also return an episode of each, by its wind."""
     rows: list[dict[str, Any]] = []
     drawn: dict[str, Episode] = {}
     for speed, deterministic in itertools.product(speeds, (False, True)):
@@ -88,11 +74,7 @@ def evaluate_in_wind(
 
 
 def with_intervals(evaluation: Evaluation, *, one_episode: bool) -> dict[str, Any]:
-    """An evaluation as JSON values, with 95 % intervals unless it is of ``one_episode``.
-
-    ``success_interval`` is Wilson's; ``return_interval`` and ``makespan_interval`` are bootstrap
-    intervals of the mean, the latter over successful episodes.
-    """
+    """An evaluation as JSON values, with 95 % intervals unless it is of ``one_episode``."""
     makespans = evaluation.makespans
     intervals = {
         "success_interval": share_interval(evaluation.successes),
@@ -107,6 +89,5 @@ def with_intervals(evaluation: Evaluation, *, one_episode: bool) -> dict[str, An
 
 
 def write_panels(episodes: Mapping[str, Episode], path: Path) -> None:
-    """Draw episodes side by side; raise MbnError unless ``path`` ends in png, pdf or svg."""
     lasts = {name: episode.snapshot(episode.steps) for name, episode in episodes.items()}
     figures.save(figures.trajectory_panels(lasts), path)

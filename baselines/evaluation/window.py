@@ -1,7 +1,5 @@
 """Watching a policy in a window, and driving one of its robots."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Set as AbstractSet
 
@@ -14,13 +12,13 @@ from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.errors import ConfigError
 from mbn_marl.render import Viewer
 
+# The force along x and y of each key.
 DIRECTIONS = {
     **dict.fromkeys(("right", "d"), (1.0, 0.0)),
     **dict.fromkeys(("left", "a"), (-1.0, 0.0)),
     **dict.fromkeys(("up", "w"), (0.0, 1.0)),
     **dict.fromkeys(("down", "s"), (0.0, -1.0)),
 }
-"""The force along x and y of each key."""
 _KEYS = "space: pause, R: restart, Esc: close"
 
 
@@ -41,16 +39,7 @@ def watch(
     episodes: int | None = None,
     rest: float = 1.5,
 ) -> list[Episode]:
-    """Show episodes in a window and return them; a person may drive the robot ``driven``.
-
-    There are ``speed`` > 0 steps a second. The end of an episode stays ``rest`` seconds. Without
-    a number of ``episodes``, they go on until the window is closed.
-
-    Raises:
-        ConfigError: listing the arguments that are out of range.
-        ImportError: pygame is not installed.
-        DisplayError: there is no display.
-    """
+    """Show episodes in a window and return them; a person may drive the robot ``driven``."""
     engine = BatchEngine(policy.place, 1, seed=seed, autoreset=False, **policy.settings)
     wrong = {
         f"speed: a finite number above 0, not {speed:g}": not 0.0 < speed < math.inf,

@@ -22,10 +22,10 @@ if TYPE_CHECKING:  # the planner's packages are an extra
 
     Controller = Greedy | Tracker | Replanner
 
+# The names of these policies.
 CLASSICAL = ("greedy", "planner", "replan")
-"""The names of these policies."""
+# Settings that ``replan`` does not plan with: it finds out.
 UNSEEN = ("wind", "gust", "gust_time", "failures", *OF_ACTIONS, *OF_SIGHT)
-"""Settings that ``replan`` does not plan with: it finds out."""
 
 
 class NoPlanError(MbnError):
@@ -33,11 +33,7 @@ class NoPlanError(MbnError):
 
 
 class ControllerPolicy(Policy):
-    """A controller for each world; worlds share one as long as they have been the same.
-
-    ``begin`` makes the controller of an episode. Episodes begin where all robots rest and no ROI
-    is visited.
-    """
+    """A controller for each world, from ``begin``; worlds share one while they are the same."""
 
     observes = "state"
 
@@ -75,11 +71,6 @@ class ControllerPolicy(Policy):
 
 
 def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Policy:
-    """Return one of :data:`CLASSICAL` for a field.
-
-    Raises:
-        NoPlanError: the planner found no plan.
-    """
     from mbn_marl.planning import plan
     from mbn_marl.planning.greedy import Greedy
     from mbn_marl.planning.problem import make_problem

@@ -1,7 +1,5 @@
 """Trained policies as ONNX files for other programs."""
 
-from __future__ import annotations
-
 import json
 import logging
 import warnings
@@ -16,11 +14,11 @@ from baselines.policies.loaded import LoadedPolicy
 from baselines.policies.policy import TrainedPolicy
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
-from mbn_marl.files import check_free, claim_file, replacing
+from mbn_marl.files import check_ending, check_free, claim_file, replacing
 from mbn_marl.version import __version__
 
+# The largest difference of an action of the file: sums of float32 have another order.
 TOLERANCE = 1e-4
-"""The largest difference of an action of the file: sums of float32 have another order."""
 ALLOWED = "has no network; allowed: zoo:NAME and the folders of runs"
 OPSET = 18
 CHECKED_WORLDS = 256
@@ -37,30 +35,15 @@ class Network(torch.nn.Module):
         return self._policy.means(seen).clamp(-1.0, 1.0)
 
 
-def check_name(path: Path) -> None:
-    """Check that a policy can be written to ``path`` as far as its name goes."""
-    if path.suffix.lower() != ".onnx":
-        raise MbnError(f"{path}: the file name has to end in .onnx")
-
-
 def export_policy(
     policy: LoadedPolicy, path: Path, *, force: bool = False
 ) -> tuple[dict[str, Any], float]:
-    """Write the mean actions of a policy as a function that needs none of its libraries.
-
-    The ONNX function takes float32, what W >= 1 worlds show, in their units, and returns (W, n, 2)
-    in [-1, 1]. It has to give the policy's actions; ``force`` moves a file that is there aside.
-    Returns the file's metadata (``mbn_marl``), and the largest difference of an action.
-
-    Raises:
-        ConfigError: the policy has no network, or no field.
-        MbnError: another ending, or a file is there, or the actions are others.
-    """
+    """Write a policy's mean actions as an ONNX file; return its metadata and largest difference."""
+    # The ONNX function takes float32 of W >= 1 worlds, in their units; it needs no library.
     import onnxruntime
     import onnxscript  # noqa: F401 - the exporter needs it, and says otherwise what is missing
 
-    check_name(path)
-    check_free(path, force=force)
+    check_free(check_ending(path, ".onnx"), force=force)
     if not isinstance(policy.policy, TrainedPolicy):
         raise ConfigError("export", [f"{policy.name}: {ALLOWED}"])
     engine = BatchEngine(policy.place, 1, threads=1, **policy.settings)

@@ -1,7 +1,5 @@
 """From a name to a policy: load it, merge the settings once, fit it to the field once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +9,7 @@ from baselines.policies.classical import CLASSICAL, make_classical
 from baselines.policies.loaded import LoadedPolicy, needs_field
 from baselines.policies.own import FORM, OwnPolicy, import_own, is_own
 from baselines.policies.policy import Origin, RandomPolicy, TrainedPolicy
-from baselines.runs.files import RunError, read_json, reading
+from baselines.runs.files import RunError, reading
 from baselines.runs.folder import RunFolder
 from mbn_marl.config import CONDITIONS, Condition, expand, make_config
 from mbn_marl.episode import is_episode_file
@@ -22,23 +20,15 @@ ENTRIES = Path(__file__).parents[1] / "zoo"
 PREFIX = "zoo:"
 CARD = "card.json"
 RANDOM = "random"
+# The zoo's policy of each field.
 ZOO = "zoo"
-"""The zoo's policy of each field."""
 
 
 def entry_names() -> list[str]:
-    """The names of the zoo's entries, sorted."""
     return sorted(path.parent.name for path in ENTRIES.glob(f"*/{CARD}"))
 
 
-def read_card(name: str) -> dict[str, Any]:
-    """The facts of an entry: see :func:`baselines.zoo.make.make_card`."""
-    card: dict[str, Any] = read_json(ENTRIES / name / CARD)
-    return card
-
-
 def open_run(source: str) -> RunFolder:
-    """The run of ``zoo:NAME`` or a folder; an MbnError says that there is none."""
     if not source.startswith(PREFIX):
         return RunFolder.open(Path(source))
     name, known = source.removeprefix(PREFIX), entry_names()
@@ -48,7 +38,6 @@ def open_run(source: str) -> RunFolder:
 
 
 def load_trained(run: Path | RunFolder) -> TrainedPolicy:
-    """Load the latest policy of a run; a RunError says that it has saved none."""
     folder = run if isinstance(run, RunFolder) else RunFolder.open(run)
     with reading(folder.path / "config.json"):
         algorithm = find_algorithm(folder.config["algorithm"])
@@ -66,17 +55,14 @@ def load_trained(run: Path | RunFolder) -> TrainedPolicy:
 
 
 def is_trained(source: str) -> bool:
-    """Return whether a source is one trained policy: of the zoo, or a run's folder."""
     return source.startswith(PREFIX) or Path(source).is_dir()
 
 
 def is_policy(source: str) -> bool:
-    """Return whether a source reads as that of a policy; else it is a field, or unknown."""
     return source in (RANDOM, ZOO, *CLASSICAL) or is_own(source) or is_trained(source)
 
 
 def check_known(source: str) -> None:
-    """Check that a source is that of a policy; an MbnError lists those that there are."""
     if not is_policy(source):
         others = f"{PREFIX}NAME", FORM, "the folder of a run"
         problem = unknown("policy", source, (*CLASSICAL, RANDOM, ZOO, *others))
@@ -105,7 +91,6 @@ class Source:
         condition: Condition | None = None,
         **asked: Any,
     ) -> LoadedPolicy:
-        """Return the policy for a field, with its settings; see :func:`baselines.load_policy`."""
         place: Any = None if field is None else load_field(field)
         if place is None and self.name in (ZOO, *CLASSICAL):
             raise needs_field(self.name)
@@ -129,14 +114,7 @@ class Source:
 def find_policy(
     source: str, field: str | None = None, *, alone: Callable[[str], str] | None = None, **how: Any
 ) -> LoadedPolicy:
-    """Find the policy that a command line names, and its field; see :meth:`Source.make`.
-
-    With ``alone``, ``source`` may also be a field's name or file; ``alone`` names its policy.
-
-    Raises:
-        MbnError: one of them is not there.
-        ConfigError: the policy has no field.
-    """
+    """Return a command line's policy; ``alone`` names the one for a ``source`` that is a field."""
     if is_episode_file(source):
         raise ConfigError("policy", [f"{source} is an episode; `mbn replay` plays it"])
     if alone is not None and field is None and not is_policy(source):
@@ -146,8 +124,7 @@ def find_policy(
         load_field(source)
         field, source = source, alone(source)
     found = Source(source).make(field, **how)
-    if found.field is None:
-        raise needs_field(source)
+    _ = found.place  # raises
     return found
 
 
@@ -159,11 +136,7 @@ def of_zoo(field: str) -> str:
 def merge_settings(
     settings: Mapping[str, Any], condition: Condition | None, **asked: Any
 ) -> dict[str, Any]:
-    """Return the settings of a policy, with what is asked for in their place.
-
-    Under a condition, weather, disturbances and failures are those of the condition alone; it is a
-    ConfigError to ask for what it sets.
-    """
+    """Return settings with others in their place; a condition replaces weather and failures."""
     if condition is None:
         return {**settings, **asked}
     weather = {name for one in CONDITIONS if one != "mixed" for name in CONDITIONS[one]}

@@ -1,7 +1,5 @@
 """A policy that is ready to act in a program, with the environment that it wants."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
@@ -17,17 +15,13 @@ from mbn_marl.field import Field
 
 
 def needs_field(source: str) -> ConfigError:
-    """Return the error of a policy that has no field."""
     return ConfigError("policy", [f"field: {source} has none; name one, such as --field field_03"])
 
 
 class LoadedPolicy(Wrapped):
-    """A policy that is ready to act, with the environment that it wants.
-
-    :func:`baselines.load_policy` makes it.
+    """A policy that is ready to act, which :func:`baselines.load_policy` makes.
 
     Attributes:
-        name: where it comes from, and in which field it is, if that was asked for.
         settings: the keyword arguments of the environment that it wants, as in
             ``parallel_env(policy.field, **policy.settings)``.
         field: the :class:`~mbn_marl.Field` that it was trained in or made for; ``None``: any.
@@ -43,7 +37,6 @@ class LoadedPolicy(Wrapped):
 
     @property
     def place(self) -> Field:
-        """Its field; a ConfigError if it has none."""
         if self.field is None:
             raise needs_field(self.name)
         return self.field
@@ -53,12 +46,7 @@ class LoadedPolicy(Wrapped):
 
     @cached_property
     def fitted(self) -> tuple[Policy, tuple[int, ...] | None]:
-        """The policy as it acts in its field, and the shape of what one world shows there.
-
-        Raises:
-            ConfigError: naming all that the policy was trained with otherwise, or what is wrong
-                with the settings.
-        """
+        """The policy as it acts in its field, and the shape of what one world shows there."""
         if self.field is None:
             return self.policy, None
         engine = BatchEngine(self.field, 1, threads=1, **self.settings)
@@ -67,21 +55,14 @@ class LoadedPolicy(Wrapped):
         return self.policy.fit(engine), shape
 
     def act(self, seen: ArrayLike | Mapping[str, ArrayLike], deterministic: bool = True) -> Any:
-        """Choose actions, float32 in [-1, 1], shares of the full force.
+        """Choose actions in [-1, 1], mean ones or sampled by torch.
 
-        They are ``(W, n, 2)`` for W worlds, ``(n, 2)`` for one; for PettingZoo's dictionary, one
-        with an action ``(2,)`` for each of its agents.
-
-        Args:
-            seen: what the environment shows, in its units: ``(W, n, obs_size)``,
-                ``(n, obs_size)``, or a dictionary with ``(obs_size,)`` for each agent. A policy
-                that ``observes`` the state takes ``engine.state()``, ``(W, size)``, or
-                ``env.state()``, ``(size,)``, with size 4n+1 for n point masses.
-            deterministic: take the mean actions; else sample them, from torch's generator.
+        They are ``(W, n, 2)`` for observations ``(W, n, obs_size)`` of W worlds, ``(n, 2)`` for
+        ``(n, obs_size)``, or a dictionary for PettingZoo's. A policy that ``observes`` the state
+        takes ``(W, size)`` or ``(size,)``, with size 4n+1 for n point masses.
 
         Raises:
-            ConfigError: the observations are not those of an environment with ``settings``; the
-                message says what they are, and what came.
+            ConfigError: the observations are not those of an environment with ``settings``.
         """
         if isinstance(seen, Mapping):
             return self._act_by_name(seen, deterministic)
@@ -96,28 +77,15 @@ class LoadedPolicy(Wrapped):
         return clipped[0] if alone else clipped
 
     def act_in(self, world: Any, observations: Any, *, deterministic: bool = True) -> Any:
-        """Act in an engine or an environment that has shown ``observations``.
-
-        It gives every policy what it observes. Actions are as from :meth:`act`, a dictionary for
-        PettingZoo's observations.
-        """
+        """Act as :meth:`act`, in an engine or an environment that has shown ``observations``."""
         if self.observes == "state" and isinstance(observations, Mapping):
             actions = self.act(world.state(), deterministic)
             return {agent: actions[int(agent.removeprefix("robot_"))] for agent in observations}
         return super().act_in(world, observations, deterministic=deterministic)
 
-    def reset(self, worlds: ArrayLike | None = None) -> None:
-        """Forget what it remembers of the last episode; to call whenever episodes begin.
-
-        Args:
-            worlds: in which worlds, ``(W,)`` bool; ``None``: in all.
-        """
-        super().reset(None if worlds is None else np.asarray(worlds, bool))
-
     def _act_by_name(
         self, observations: Mapping[str, ArrayLike], deterministic: bool
     ) -> dict[str, NDArray[np.float32]]:
-        """Act for the agents that are there; of others, robots see zeros."""
         if self.observes == "state":
             raise ConfigError(self.name, [f"{self._wanted()}, not a dictionary"])
         rows = {agent: np.asarray(seen, np.float32) for agent, seen in observations.items()}
@@ -141,7 +109,6 @@ class LoadedPolicy(Wrapped):
         return {agent: actions[index[agent]] for agent in rows}
 
     def _wanted(self) -> str:
-        """Return what it acts on, in words."""
         place = "" if self.field is None else f" in {self.field.name}"
         if self.observes == "state":
             (size,) = self.fitted[1] or ("size",)

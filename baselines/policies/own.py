@@ -1,7 +1,5 @@
 """Policies that users write, named ``module:callable``."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import sys
@@ -21,16 +19,11 @@ FORM = "module:callable"
 
 
 def is_own(source: str) -> bool:
-    """Return whether a source of a policy reads as ``module:callable``."""
     return re.fullmatch(r"\w+(\.\w+)*:\w+(\.\w+)*", source) is not None
 
 
 class OwnPolicy(Policy):
-    """The policy that a user's callable made for a field; its actions are checked.
-
-    Raises:
-        ConfigError: listing all that is wrong with it.
-    """
+    """The policy that a user's callable made for a field; its actions are checked."""
 
     def __init__(self, source: str, make: Callable[[Field | None], Any], field: Field | None):
         if not _takes(make, field):
@@ -73,17 +66,11 @@ class OwnPolicy(Policy):
         return actions
 
     def reset(self, worlds: np.ndarray | None = None) -> None:
-        reset = getattr(self._made, "reset", None)
-        if reset is not None:
-            reset(worlds)
+        getattr(self._made, "reset", lambda worlds: None)(worlds)
 
 
 def import_own(source: str) -> Callable[[Field | None], Any]:
-    """Return a user's callable; its module may lie in the working directory.
-
-    Raises:
-        ConfigError: there is no such module or callable.
-    """
+    """Return a user's callable; its module may lie in the working directory."""
     module, _, name = source.partition(":")
     path = [*sys.path]
     sys.path.append(str(Path.cwd()))
@@ -112,8 +99,6 @@ def _takes(function: Callable[..., Any], *arguments: Any, **named: Any) -> bool:
     """Return whether a function can be called like this, as far as it says."""
     try:
         inspect.signature(function).bind(*arguments, **named)
-    except TypeError:
-        return False
-    except ValueError:  # it has no signature
-        return True
+    except (TypeError, ValueError) as error:
+        return isinstance(error, ValueError)  # it has no signature
     return True

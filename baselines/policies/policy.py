@@ -121,8 +121,6 @@ class RandomPolicy(Policy):
 
 
 class Wrapped(Policy):
-    """A policy around another one."""
-
     def __init__(self, policy: Policy) -> None:
         self.policy, self.observes = policy, policy.observes
 
@@ -161,7 +159,6 @@ def _places(observes: Observes, trained: NavigationConfig, engine: BatchEngine) 
 
 
 def _turns(config: NavigationConfig, n: int) -> bool:
-    """Return whether a robot of a team of n has a heading."""
     return count_headings(config.of_each("dynamics", n)) > 0
 
 

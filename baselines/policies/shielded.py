@@ -15,23 +15,19 @@ if TYPE_CHECKING:  # the planner's packages are an extra
 
 
 def behind(shield: bool) -> str:
-    """Return the end of the name of a policy behind the shield, or nothing."""
     return " + shield" if shield else ""
 
 
 class Shielded(Wrapped):
-    """A policy in whose place the shield acts where robots could not brake after its action.
+    """A policy in whose place the shield acts where robots could not brake after its action."""
 
-    The shield sees the engine's true state, whatever the policy observes. Of numbers that episodes
-    draw it knows only their middles, as greedy does.
-    """
-
+    # The shield sees the engine's true state, whatever the policy observes. Of numbers that
+    # episodes draw it knows only their middles, as greedy does.
     def __init__(self, policy: Policy) -> None:
         super().__init__(policy)
         self._shields: dict[int, Shield] = {}
 
     def fit(self, engine: BatchEngine) -> Shielded:
-        """See :meth:`~.policy.Policy.fit`; a ConfigError also names robots without a shield."""
         fitted = Shielded(self.policy.fit(engine))
         _shield_of(engine, 0)
         return fitted
@@ -56,7 +52,6 @@ class Shielded(Wrapped):
 
 
 def _shield_of(engine: BatchEngine, world: int) -> Shield:
-    """Return the shield of a world's new episode."""
     from mbn_marl.planning.problem import make_problem
     from mbn_marl.planning.shield import Shield
 

@@ -1,7 +1,5 @@
 """Find run folders inside other folders."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -14,14 +12,7 @@ def run_folders(
     *,
     comparisons: bool = False,
 ) -> list[Path]:
-    """Return the run folders at or anywhere inside ``paths``, each one once.
-
-    Inside, studies, what ``--force`` moved aside, and unless asked for ``comparisons`` are left
-    out; ``note`` receives a line about each.
-
-    Raises:
-        RunError: a path holds no run.
-    """
+    """Return the run folders at or inside ``paths``; ``note`` receives those that are left out."""
     found: dict[Path, Path] = {}
     left_out: dict[Path, str] = {}
     for path in paths:
@@ -48,7 +39,6 @@ def run_folders(
 
 
 def _why_left_out(folder: Path, comparisons: bool) -> str | None:
-    """Return why the runs in ``folder`` are left out; ``None`` if they are not."""
     if folder.suffix[1:].isdecimal() and folder.with_suffix("").exists():
         return "moved aside by --force"
     if _is_study(folder):

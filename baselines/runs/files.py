@@ -1,7 +1,5 @@
 """Folders and files of runs: claimed without overwriting, written whole, with their origin."""
 
-from __future__ import annotations
-
 import errno
 import importlib.metadata
 import json
@@ -17,7 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,14 +23,14 @@ from numpy.typing import NDArray
 from mbn_marl.errors import MbnError
 from mbn_marl.files import check_free, claim_file, free_name, replacing
 
+# Errors of drives without locks; for ``ENOSYS`` the library uses a file instead.
 NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
-"""Errors of drives without locks; for ``ENOSYS`` the library uses a file instead."""
 PACKAGES = (
     *("mbn-marl", "numpy", "numba", "gymnasium", "pettingzoo", "sb3-contrib", "stable-baselines3"),
     *("supersuit", "tensordict", "torch", "torchrl"),
 )
+# The file in the folder of a running process that names this process.
 LOCK = ".lock"
-"""The file in the folder of a running process that names this process."""
 
 
 class RunError(MbnError):
@@ -40,12 +38,7 @@ class RunError(MbnError):
 
 
 def claim_folder(path: Path, *, force: bool = False) -> Path:
-    """Create the folder ``path``; with ``force`` move one that is there aside to ``<path>.1``, ...
-
-    Raises:
-        RunError: ``path`` is a file, or a folder with something in it and ``force`` is not set or
-            a process is running there.
-    """
+    """Create the folder ``path``; ``force`` moves one that is there aside to ``<path>.1``, ..."""
     if path.exists() and not path.is_dir():
         raise RunError(f"{path} is a file; the output must be a folder")
     check_text(str(path))
@@ -69,7 +62,6 @@ def is_untouched(path: Path) -> bool:
 
 
 def check_text(words: str) -> None:
-    """Raise a RunError if a path or a command has bytes that are not UTF-8."""
     try:
         words.encode()
     except UnicodeEncodeError:
@@ -93,12 +85,7 @@ def reading(place: Path) -> Iterator[None]:
 
 @contextmanager
 def alone(folder: Path, command: str, hint: str = "", patience: float = 0) -> Iterator[None]:
-    """Hold the lock of a folder that exists; the system frees it however this process ends.
-
-    Raises:
-        RunError: another process holds it for longer than ``patience`` seconds; with its command,
-            or else this one's, and ``hint``.
-    """
+    """Hold the lock of a folder, which the system frees however this process ends."""
     from filelock import FileLock, Timeout
 
     place = folder / LOCK
@@ -128,7 +115,6 @@ def alone(folder: Path, command: str, hint: str = "", patience: float = 0) -> It
 
 
 def differences(recorded: Mapping[str, Any], asked: Mapping[str, Any]) -> list[str]:
-    """Return a line for each entry of ``asked`` that was recorded otherwise, of JSON values."""
     return [
         f"{name}: recorded is {recorded.get(name)!r}, asked for is {value!r}"
         for name, value in asked.items()
@@ -137,18 +123,15 @@ def differences(recorded: Mapping[str, Any], asked: Mapping[str, Any]) -> list[s
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` atomically: a reader sees the old file or the new one, never a part."""
     with replacing(path) as temporary:
         temporary.write_text(text, "utf-8")
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write ``value`` as indented JSON, atomically. NaN and infinity are refused."""
     write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
 def read_json(path: Path, kind: type[Any] = object) -> Any:
-    """Read a JSON file of a run; raise a RunError if it is missing, not JSON, or not a ``kind``."""
     try:
         content = json.loads(path.read_bytes())
     except FileNotFoundError:
@@ -161,7 +144,6 @@ def read_json(path: Path, kind: type[Any] = object) -> Any:
 
 
 def read_text(path: Path) -> str:
-    """Read a text file of a run; raise a RunError if it is missing or no text."""
     try:
         return path.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -169,18 +151,12 @@ def read_text(path: Path) -> str:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, compress: bool = False) -> None:
-    """Write arrays by name as ``.npz``, atomically."""
     save = np.savez_compressed if compress else np.savez
     with replacing(path) as temporary:
         save(temporary, allow_pickle=False, **arrays)
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Read what :func:`write_arrays` wrote; nothing in a file is run.
-
-    Raises:
-        RunError: the file is missing or damaged, or is another kind of archive.
-    """
     try:
         with np.load(path, allow_pickle=False) as arrays:
             return dict(arrays)
@@ -205,7 +181,6 @@ def replacing_folder(path: Path) -> Iterator[Path]:
 
 
 def write_provenance(path: Path, command: str) -> None:
-    """Record in the folder ``path`` the exact command, and the versions it ran with."""
     write_text(path / "command.txt", command + "\n")
     write_json(path / "versions.json", versions())
 
@@ -226,7 +201,6 @@ def versions(*more: str) -> dict[str, Any]:
 
 
 def _git_revision() -> str | None:
-    """Return the revision of the clone with this file, with ``-dirty`` if it was changed."""
     root = Path(__file__).resolve().parents[2]
     describe = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     if (root / ".git").exists():
@@ -244,17 +218,12 @@ class Place:
     folder: Path
 
     @classmethod
-    def of(cls, out: Path, page: str) -> Place:
-        """Return the place for ``out``: ``NAME.md`` is the page, beside its folder ``NAME``.
-
-        Any other path is the folder, and ``page`` the name of the page in it.
-        """
+    def of(cls, out: Path, page: str) -> Self:
         if out.suffix == ".md":
             return cls(out, out.with_suffix(""))
         return cls(out / page, out)
 
     def claim(self, *, force: bool) -> None:
-        """Make the folder; with ``force`` move what is there aside, or else raise an MbnError."""
         beside = self.page.parent != self.folder
         if beside:
             check_free(self.page, force=force)
@@ -263,5 +232,4 @@ class Place:
             claim_file(self.page, force=force)
 
     def link(self, name: str) -> str:
-        """Return the link from the page to a file of the folder."""
         return (self.folder / name).relative_to(self.page.parent).as_posix()

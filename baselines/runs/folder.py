@@ -1,7 +1,5 @@
 """The folder of a training run; docs/baselines.md lists its files."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os
@@ -12,16 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
-from baselines.runs.files import (
-    RunError,
-    differences,
-    read_json,
-    read_text,
-    replacing_folder,
-    versions,
-    write_json,
-    write_provenance,
-)
+from baselines.runs import files
+from baselines.runs.files import RunError, read_json, replacing_folder, write_json
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, FieldSampler, load_fields, save_field
 
@@ -33,8 +23,6 @@ FOLDERS = ("policy", "checkpoints", "tensorboard")
 
 
 class RunFolder:
-    """The folder ``path`` of one run."""
-
     def __init__(self, path: Path) -> None:
         self.path = path
 
@@ -42,27 +30,21 @@ class RunFolder:
     def create(
         cls, path: Path, resolved: Mapping[str, Any], field: Field | FieldSampler, command: str
     ) -> Self:
-        """Start a run in a claimed folder, with its resolved configuration (JSON values)."""
         folder = cls(path)
         folder._clear_leftovers()
         write_json(path / "config.json", resolved)
         save_field(field, path / "field.yaml")
-        write_provenance(path, command)
+        files.write_provenance(path, command)
         return folder
 
     @classmethod
     def resume(
         cls, path: Path, resolved: Mapping[str, Any], field: Field | FieldSampler, command: str
     ) -> Self:
-        """Resume the run in ``path``, if it was interrupted; a finished one is left as it is.
-
-        Raises:
-            RunError: there is no run at ``path``.
-            ConfigError: naming what differs from the recorded configuration and field.
-        """
+        """Resume the run in ``path``, if it was interrupted; a finished one is left as it is."""
         folder = cls.open(path)
         recorded, asked = folder.config, json.loads(json.dumps(resolved))
-        problems = differences(recorded, {**dict.fromkeys(recorded), **asked})
+        problems = files.differences(recorded, {**dict.fromkeys(recorded), **asked})
         if (path / "field.yaml").exists() and folder.fields != field:
             problems.append("field: it has changed since the run was started")
         if problems:
@@ -70,17 +52,16 @@ class RunFolder:
         if folder.finished:
             return folder
         folder._clear_leftovers()
-        entry = {"env_steps": folder.saved_steps, "command": command, "versions": versions()}
+        entry = {"env_steps": folder.saved_steps, "command": command, "versions": files.versions()}
         history = path / "resumed.json"
         write_json(history, [*(read_json(history) if history.exists() else []), entry])
         if not (path / "versions.json").exists():  # it was killed too early to write these
             save_field(field, path / "field.yaml")
-            write_provenance(path, command)
+            files.write_provenance(path, command)
         return folder
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open the folder of an earlier run; raise a RunError if there is none, or a link in it."""
         if not (path / "config.json").is_file():
             raise RunError(f"{path} is not a run folder: it has no config.json")
         inside = (file for name in FOLDERS for file in (path / name).rglob("*"))
@@ -90,44 +71,35 @@ class RunFolder:
         return cls(path)
 
     def _clear_leftovers(self) -> None:
-        """Remove what a killed process left half-written."""
         for name in (*FILES, "policy"):
             for leftover in self.path.glob(f".{name}.*"):
                 shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
 
     @property
     def config(self) -> dict[str, Any]:
-        """The resolved configuration."""
-        content: dict[str, Any] = read_json(self.path / "config.json", dict)
-        return content
+        return dict(read_json(self.path / "config.json", dict))
 
     @property
     def fields(self) -> Field | FieldSampler:
-        """The field that the run was trained on, as recorded then, or the sampler of its fields."""
         return load_fields(self.path / "field.yaml")
 
     @property
     def field(self) -> Field:
-        """The field that the run was trained on; a RunError says that it had random ones."""
         if isinstance(fields := self.fields, FieldSampler):
             raise RunError(f"{self.path} was trained on random fields; allowed here: one field")
         return fields
 
     @property
     def command(self) -> str:
-        return read_text(self.path / "command.txt").strip()
+        return files.read_text(self.path / "command.txt").strip()
 
     @property
     def evaluations(self) -> list[dict[str, Any]]:
-        """The summaries of the fresh evaluations during training, in order."""
-        content: list[dict[str, Any]] = read_json(self.path / "evaluations.json", list)
-        return content
+        return list(read_json(self.path / "evaluations.json", list))
 
     @property
     def evaluation(self) -> dict[str, Any]:
-        """The final evaluation of a finished run."""
-        content: dict[str, Any] = read_json(self.path / "evaluation.json", dict)
-        return content
+        return dict(read_json(self.path / "evaluation.json", dict))
 
     @property
     def finished(self) -> bool:
@@ -151,13 +123,11 @@ class RunFolder:
     @property
     def unfinished(self) -> str | None:
         """The progress of a run without a final policy, in words; ``None`` if it has one."""
-        if (self.path / "policy").exists():
-            return None
-        return f"unfinished: checkpoint at {self._steps}"
+        done = (self.path / "policy").exists()
+        return None if done else f"unfinished: checkpoint at {self._steps}"
 
     @property
     def checkpoint(self) -> Path | None:
-        """The newest checkpoint, if there is one; its name is its number of env-steps."""
         return max(self._checkpoints(), key=lambda path: int(path.name), default=None)
 
     def _checkpoints(self) -> list[Path]:
@@ -167,7 +137,6 @@ class RunFolder:
 
     @property
     def saved_steps(self) -> int:
-        """The env-steps of the newest checkpoint; 0 without one."""
         return 0 if self.checkpoint is None else int(self.checkpoint.name)
 
     @contextmanager
@@ -183,24 +152,20 @@ class RunFolder:
 
     @contextmanager
     def new_policy(self) -> Iterator[Path]:
-        """Yield a folder to fill: the final policy's, if the block succeeds."""
         self._check_there()
         with replacing_folder(self.path / "policy") as folder:
             yield folder
 
     def _check_there(self) -> None:
-        """Raise a RunError if somebody has deleted the folder."""
         if not (self.path / "config.json").is_file():
             raise RunError(f"{self.path} has lost its config.json, so the run ends here")
 
     def finish(self, evaluation: Mapping[str, Any]) -> None:
-        """Write the final evaluation (JSON values), and remove the checkpoint."""
         write_json(self.path / "evaluation.json", evaluation)
         shutil.rmtree(self.path / "checkpoints", ignore_errors=True)
 
     @property
     def policy(self) -> Path:
-        """The folder of the latest policy: the final one, or the newest checkpoint's."""
         final, checkpoint = self.path / "policy", self.checkpoint
         return final if final.exists() or checkpoint is None else checkpoint / "policy"
 
@@ -210,11 +175,9 @@ class RunFolder:
 
     @property
     def progress_bytes(self) -> int:
-        """The size of ``progress.csv`` now, for :meth:`cut_progress`."""
         return self.progress.stat().st_size if self.progress.exists() else 0
 
     def cut_progress(self, size: int) -> None:
-        """Keep the first ``size`` bytes of ``progress.csv``; with 0, remove it."""
         if not 0 <= size <= self.progress_bytes:
             raise RunError(f"{self.progress} is damaged: it ends before the checkpoint")
         if size == 0:
@@ -223,7 +186,6 @@ class RunFolder:
             os.truncate(self.progress, size)
 
     def append_progress(self, row: Mapping[str, float]) -> None:
-        """Append a row to ``progress.csv``, with the columns of the first row."""
         self._check_there()
         with self.progress.open("a", newline="") as file:
             writer = csv.writer(file)
@@ -233,7 +195,6 @@ class RunFolder:
 
 
 def saved_at(checkpoint: Path, env_steps: Any) -> int:
-    """The env-steps of a checkpoint; raise a ValueError if one of its files has others."""
     if env_steps != int(checkpoint.name):
         raise ValueError(f"env_steps {env_steps!r}; allowed: {int(checkpoint.name)}, its name")
     return int(checkpoint.name)

@@ -1,7 +1,5 @@
 """A learner's tensors in safetensors files, and the random number generators as JSON values."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,7 +15,6 @@ from mbn_marl.files import replacing
 
 
 def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Write tensors by name, atomically; raise an OSError if that fails."""
     with replacing(path) as temporary:
         try:
             whole = {name: tensor.contiguous() for name, tensor in tensors.items()}
@@ -29,12 +26,7 @@ def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:
 def read_tensors(
     path: Path, like: Mapping[str, torch.Tensor] | None = None
 ) -> dict[str, torch.Tensor]:
-    """Read what :func:`write_tensors` wrote.
-
-    Raises:
-        RunError: the file is missing or damaged, or a number in it is not finite, or it has
-            another type than the tensor of its name in ``like``.
-    """
+    """Read tensors; a RunError names one that is not finite, or of another type than ``like``."""
     try:
         tensors: dict[str, torch.Tensor] = safetensors_torch.load_file(path)
     except (OSError, SafetensorError) as error:
@@ -58,7 +50,6 @@ def moments_of(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
 
 
 def with_moments(state: Mapping[str, Any], moments: Mapping[str, torch.Tensor]) -> dict[str, Any]:
-    """Return an optimiser's ``state_dict`` with what :func:`moments_of` returned in it."""
     entries: dict[int, dict[str, torch.Tensor]] = {}
     for key, tensor in moments.items():
         index, name = key.split(".")
@@ -67,7 +58,6 @@ def with_moments(state: Mapping[str, Any], moments: Mapping[str, torch.Tensor]) 
 
 
 def save_generators() -> dict[str, Any]:
-    """Return the states of Python's, NumPy's and torch's global generators, as JSON values."""
     numbers: Any = np.random.get_state(legacy=False)
     numbers["state"]["key"] = numbers["state"]["key"].tolist()
     cuda: Any = torch.cuda  # not all of it has types
@@ -81,7 +71,6 @@ def save_generators() -> dict[str, Any]:
 
 
 def restore_generators(saved: Mapping[str, Any]) -> None:
-    """Restore the states that :func:`save_generators` returned."""
     version, numbers, gauss = saved["python"]
     random.setstate((version, tuple(numbers), gauss))
     if not 0 <= (pos := saved["numpy"]["state"]["pos"]) <= 624:  # NumPy would read past the key

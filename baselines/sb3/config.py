@@ -1,7 +1,5 @@
 """The hyperparameters of Stable-Baselines3's algorithms: ``hyperparams/<algorithm>.yaml``."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import math
@@ -84,8 +82,6 @@ class SB3Config(TrainingAids):
 
 @dataclass(frozen=True)
 class LinearSchedule:
-    """A number that changes linearly over training, as Stable-Baselines3 calls it."""
-
     start: float
     end: float
 
@@ -148,13 +144,11 @@ def load(
 
 
 def accepted_arguments(algorithm: str) -> dict[str, Any]:
-    """The names that ``model`` may have, with their types in the library's class."""
     parameters = inspect.signature(algorithm_class(algorithm)).parameters
     return {name: one.annotation for name, one in parameters.items() if name not in RESERVED}
 
 
 def model_arguments(config: SB3Config) -> dict[str, Any]:
-    """The arguments of the library's class, with schedules as functions."""
     own = deepcopy(config.model)  # the library writes into policy_kwargs
     return {name: _scheduled(value) for name, value in own.items()}
 

@@ -1,7 +1,5 @@
 """A trained policy of Stable-Baselines3: weights as safetensors, all else as JSON."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,7 +25,7 @@ WEIGHTS, SHAPE, LEARNER = "policy.safetensors", "policy.json", "learner.safetens
 
 @dataclass(frozen=True)
 class Normalization:
-    """How ``VecNormalize`` treats observations; mean and variance are of ``count`` of them."""
+    """The numbers of ``VecNormalize``; mean and variance are of ``count`` observations."""
 
     mean: np.ndarray
     variance: np.ndarray
@@ -36,7 +34,7 @@ class Normalization:
     clip: float
 
     @classmethod
-    def of(cls, env: VecNormalize | None) -> Normalization | None:
+    def of(cls, env: VecNormalize | None) -> Self | None:
         if env is None:
             return None
         seen: Any = env.obs_rms
@@ -47,7 +45,7 @@ class Normalization:
         seen.mean, seen.var, seen.count = self.mean, self.variance, self.count
 
     @classmethod
-    def from_json(cls, values: dict[str, Any] | None) -> Normalization | None:
+    def from_json(cls, values: dict[str, Any] | None) -> Self | None:
         if values is None:
             return None
         arrays = {name: np.asarray(values[name], float) for name in ("mean", "variance")}
@@ -60,8 +58,7 @@ class Normalization:
 
     def __call__(self, seen: np.ndarray) -> np.ndarray:
         scaled = (seen - self.mean) / np.sqrt(self.variance + self.epsilon)
-        clipped: np.ndarray = np.clip(scaled, -self.clip, self.clip).astype(np.float32)
-        return clipped
+        return np.asarray(np.clip(scaled, -self.clip, self.clip), np.float32)
 
     def to_json(self) -> dict[str, Any]:
         return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
@@ -72,7 +69,6 @@ class SB3Policy(TrainedPolicy):
 
     # ``shape`` is what :meth:`of` makes. A ``model`` is the learner whose policy this is, and is
     # saved too.
-
     def __init__(
         self,
         network: BasePolicy,
@@ -108,8 +104,7 @@ class SB3Policy(TrainedPolicy):
         rows = rows if self.normalization is None else self.normalization(rows)
         with torch.autocast("cpu", enabled=False):  # predict() wants what NumPy has a type for
             actions, _ = self.network.predict(rows, deterministic=deterministic)
-        answers: np.ndarray = actions.reshape(len(seen), -1, 2)
-        return answers
+        return np.asarray(actions.reshape(len(seen), -1, 2))
 
     def means(self, seen: torch.Tensor) -> torch.Tensor:
         network: Any = self.network
@@ -148,7 +143,6 @@ def _learned(model: Any) -> dict[str, torch.Tensor]:
 
 
 def put_into(model: Any, folder: Path) -> None:
-    """Load the policy in ``folder`` and all that was learned beside it into a fresh learner."""
     with reading(folder):
         weights = read_tensors(folder / WEIGHTS, model.policy.state_dict())
         learned = read_tensors(folder / LEARNER)
@@ -166,7 +160,6 @@ def put_into(model: Any, folder: Path) -> None:
 
 
 def load_policy(folder: Path) -> SB3Policy:
-    """Load what :meth:`SB3Policy.save` wrote; raise a RunError if it is missing or damaged."""
     with reading(folder / SHAPE):
         shape = read_json(folder / SHAPE)
         if shape["observes"] not in ("observations", "state"):

@@ -1,7 +1,5 @@
 """The one trainer of Stable-Baselines3's algorithms: a learner, its checkpoints, its log."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Callable
@@ -88,7 +86,6 @@ class TrainingWorlds(VecEnvWrapper):
         return observations, rewards * self._scale, dones, infos
 
     def begin(self, curriculum: RoiCurriculum) -> VecEnvObs:
-        """Begin new episodes with ROIs of the size that ``curriculum`` says."""
         self.curriculum, self.venv = curriculum, self._make(curriculum)
         return self.venv.reset()
 
@@ -125,8 +122,6 @@ class ResumableARS(ARS):
 
 
 class Learner:
-    """A fresh learner of the library (``model``) on the worlds of a task."""
-
     def __init__(self, task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow) -> None:
         config = task.config
         self._algorithm, self._steps, self._aids = config.algorithm, config.steps, hyperparameters
@@ -136,10 +131,7 @@ class Learner:
         env.action_space.seed(config.seed)
         kind: Any = algorithm_class(config.algorithm)
         self.model: Any = (ResumableARS if kind is ARS else kind)(
-            hyperparameters.policy,
-            env,
-            device=config.device,
-            **model_arguments(hyperparameters),
+            hyperparameters.policy, env, device=config.device, **model_arguments(hyperparameters)
         )
         self._repeat, self._gamma = 1, getattr(self.model, "gamma", 1.0)
         self._worlds.every = getattr(self.model, "n_steps", 1)
@@ -166,7 +158,6 @@ class Learner:
         self.model.gamma = self.model.rollout_buffer.gamma = self._gamma**self._repeat
 
     def count_repeats(self) -> None:
-        """Count the env-steps of a decision that the library does not: all but the first."""
         self.model.num_timesteps += (self._repeat - 1) * self._worlds.num_envs
 
     @property
@@ -203,7 +194,6 @@ class Learner:
         write_json(folder / COUNTERS, counters)
 
     def restore(self, checkpoint: Path) -> None:
-        """Resume the learner of a checkpoint at exactly the same point; a RunError says why not."""
         model, counters = self.model, read_json(checkpoint / COUNTERS)
         model._setup_learn(0)  # makes what is filled here
         self.begin_with(checkpoint / "policy")
@@ -241,8 +231,6 @@ class Passed(Exception):  # noqa: N818
 
 
 class Reporter(BaseCallback, KVWriter):
-    """Passes updates and what the library logs to a recorder; saves between updates when due."""
-
     def __init__(self, recorder: Recorder, learner: Learner) -> None:
         super().__init__()
         self._recorder, self._learner, self._reported = recorder, learner, 0
@@ -311,7 +299,6 @@ def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
 
 
 def check(task: Task, hyperparameters: SB3Config) -> None:
-    """Raise a ConfigError with the library's objection if no learner can be made."""
     try:
         Learner(task, hyperparameters, EpisodeWindow())
     except MbnError:

@@ -1,7 +1,5 @@
 """Run jobs in processes of this machine."""
 
-from __future__ import annotations
-
 import multiprocessing
 import signal
 import traceback
@@ -31,11 +29,9 @@ Ended = Callable[[Any, Any], None]
 
 @dataclass(frozen=True)
 class LocalEngine:
-    """Run so many jobs at a time, each in a new process; repeat a failed one ``retries`` times.
+    """Run so many jobs at a time, each in a new process; repeat a failed one ``retries`` times."""
 
-    A single process without retries is this process: errors of the work are raised.
-    """
-
+    # A single process without retries is this process: errors of the work are raised.
     processes: int
     retries: int = 0
 
@@ -44,17 +40,13 @@ class LocalEngine:
             raise ConfigError("engine", [f"processes: must be at least 1 (got {self.processes})"])
 
     def run(self, work: Work, jobs: Iterable[Any], report: Report, ended: Ended) -> None:
-        """Run all jobs; a process that dies fails its job alone.
-
-        An error of ``report`` or ``ended``, or Ctrl-C, ends all processes.
-        """
         if self.processes == 1 and self.retries == 0:
             for job in jobs:
                 ended(job, work(job, report))
             return
         context = multiprocessing.get_context("spawn")
         waiting = deque((job, self.retries) for job in jobs)
-        # Each process has a connection of its own: a shared queue would break when one is killed.
+        # Each process has its connection: a shared queue would break when one is killed.
         busy: dict[Any, tuple[SpawnProcess, Any, int]] = {}
         try:
             while waiting or busy:
@@ -89,7 +81,7 @@ class LocalEngine:
                 process.join()
 
 
-def _work_in_process(work: Work, job: Any, connection: Connection[Any, Any]) -> None:
+def _work_in_process(work: Work, job: Any, connection: "Connection[Any, Any]") -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent answers Ctrl-C
 
     def report(message: Any) -> None:

@@ -1,7 +1,5 @@
 """Run jobs as tasks of a Ray cluster."""
 
-from __future__ import annotations
-
 import logging
 import socket
 from collections.abc import Iterable
@@ -14,23 +12,32 @@ from mbn_marl.errors import MbnError
 
 @dataclass(frozen=True)
 class RayEngine:
-    """Run jobs on a Ray cluster that is already running.
+    """Run jobs on a Ray cluster; one is repeated when its machine is lost, or after an error."""
 
-    The ``address``, HOST:PORT, is by default that of ``RAY_ADDRESS``, or of this machine. A job
-    takes ``cpus`` cores and ``gpus`` GPUs or a share of one. It is repeated when its machine is
-    lost, or after an error other than for bad input.
-    """
-
+    # HOST:PORT; by default that of ``RAY_ADDRESS``, or of this machine.
     address: str | None = None
+    # Of each job: cores, and GPUs or a share of one.
     cpus: float = 1.0
     gpus: float = 0.0
     retries: int = 3
 
     def run(self, work: Work, jobs: Iterable[Any], report: Report, ended: Ended) -> None:
-        """Run all jobs, see :meth:`LocalEngine.run`; ``report`` receives nothing."""
         import ray
 
-        _connect(self.address)
+        address = self.address
+        try:
+            if address is not None:  # Ray would try for minutes
+                host, _, port = address.removeprefix("ray://").rpartition(":")
+                if not host or not port.isdecimal():
+                    raise ValueError("the address must be HOST:PORT")
+                socket.create_connection((host, int(port)), timeout=10.0).close()
+            ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
+        except (OSError, RuntimeError, ValueError) as error:
+            place = "here" if address is None else f"at {address}"
+            raise MbnError(
+                f"no Ray cluster {place} ({str(error).splitlines()[0]}); start one with `ray start "
+                "--head`, or name one with --address HOST:PORT"
+            ) from None
         try:
             task = ray.remote(_work_in_task).options(
                 num_cpus=self.cpus,
@@ -48,25 +55,6 @@ class RayEngine:
                     ended(running.pop(ref), result)
         finally:
             ray.shutdown()  # which ends the tasks that are running
-
-
-def _connect(address: str | None) -> None:
-    """Connect to a Ray cluster; raise an MbnError if that fails."""
-    import ray
-
-    try:
-        if address is not None:  # Ray would try for minutes
-            host, _, port = address.removeprefix("ray://").rpartition(":")
-            if not host or not port.isdecimal():
-                raise ValueError("the address must be HOST:PORT")
-            socket.create_connection((host, int(port)), timeout=10.0).close()
-        ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
-    except (OSError, RuntimeError, ValueError) as error:
-        place = "here" if address is None else f"at {address}"
-        raise MbnError(
-            f"no Ray cluster {place} ({str(error).splitlines()[0]}); start one with `ray start "
-            "--head`, or name one with --address HOST:PORT"
-        ) from None
 
 
 def _work_in_task(work: Work, job: Any) -> Any:

@@ -1,10 +1,7 @@
-"""Train many runs into one folder, the store, which all machines see under the same path.
+"""Train many runs into one folder, the store, which all machines see under the same path."""
 
-The run folders are the only memory: whoever trains a run looks at its folder and resumes it there,
-so it can be repeated at any time. The lock of a run folder keeps two processes apart.
-"""
-
-from __future__ import annotations
+# The run folders are the only memory: whoever trains a run looks at its folder and resumes it
+# there, so it can be repeated at any time. The lock of a run folder keeps two processes apart.
 
 import json
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -23,8 +20,8 @@ from baselines.training.train import prepare, resolve, train
 from mbn_marl.errors import ConfigError, MbnError
 
 Engine = LocalEngine | RayEngine
+# Failures that a message lists.
 SHOWN = 10
-"""Failures that a message lists."""
 # A lost machine may hold the lock of a run folder for a while.
 PATIENCE = 60.0
 
@@ -35,10 +32,6 @@ def make_engine(
     address: str | None,
     resources: Resources | None = None,
 ) -> Engine:
-    """Return the engine that a command line asks for; a ConfigError for options that do not fit.
-
-    Without ``resources`` a job gets a core, and no retries on this machine.
-    """
     if name == "ray":
         given = resources or Resources()
         return RayEngine(address, given.cpus, given.gpus, given.retries)
@@ -49,8 +42,6 @@ def make_engine(
 
 @dataclass(frozen=True)
 class TrainJob:
-    """A run to train into ``store``, where the run that it begins with is too."""
-
     run: TrainConfig
     store: Path
     wandb: str | None = None
@@ -58,8 +49,6 @@ class TrainJob:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The end of work on a run."""
-
     name: str
     state: Literal["done", "diverged", "failed"]
     error: str | None = None
@@ -92,12 +81,7 @@ def train_runs(
     listener: Listener = lambda report: None,
     ended: Callable[[Outcome], None] = lambda outcome: None,
 ) -> dict[str, Outcome]:
-    """Train every run that is not finished; one that fails or diverges stops no other.
-
-    Runs that begin with another one of ``runs`` come after all others. ``wandb`` is a project of
-    Weights & Biases to log to as well; ``listener`` receives the progress, ``ended`` how each run
-    ended. All ends are returned, by the run's name.
-    """
+    """Train every run that is not finished; one that fails or diverges stops no other."""
     outcomes: dict[str, Outcome] = {}
     store = store.resolve()
 
@@ -113,6 +97,7 @@ def train_runs(
         outcomes[name] = result
         ended(result)
 
+    # Runs that begin with another one of these come after all others.
     names = {run.name for run in runs}
     batches: tuple[list[TrainJob], list[TrainJob]] = [], []
     for run in runs:
@@ -126,7 +111,6 @@ def train_runs(
 def check_outcomes(
     outcomes: Collection[Outcome], store: Path, again: str = "the same command and --resume"
 ) -> None:
-    """Raise a RunError if a run is not done: it names the runs and how to resume them."""
     failed = [one for one in outcomes if one.error is not None]
     lines = [f"{one.name}: {one.error}".splitlines()[0] for one in failed]
     if lines:
@@ -139,7 +123,6 @@ def check_outcomes(
 
 
 def runs_left(runs: Iterable[TrainConfig], store: Path) -> list[TrainConfig]:
-    """Return the runs to do; raise a ConfigError if a finished one has another configuration."""
     left, problems = [], []
     for run in runs:
         folder = RunFolder(store / run.name)

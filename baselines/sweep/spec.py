@@ -1,7 +1,5 @@
 """The YAML file of a grid, and the runs in it."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re
@@ -23,7 +21,6 @@ from mbn_marl.field import catalogue_names, load_field
 
 
 def _known(load: Callable[[str], object]) -> AfterValidator:
-    """Return a validator of names that ``load`` knows."""
     return AfterValidator(lambda name: load(name) and name)
 
 
@@ -63,11 +60,7 @@ class Resources(_Strict):
 
 
 class GridSpec(_Strict):
-    """Every algorithm on every field under every setting with every seed, and more axes.
-
-    docs/grid.md explains the keys. ``source`` is the field whose run under A the runs under C begin
-    with; an algorithm takes part under those settings that it has.
-    """
+    """The values of a grid's file; docs/grid.md explains the keys."""
 
     store: Annotated[Path, AfterValidator(_folder)]
     algorithms: Annotated[tuple[Algorithm, ...], *_Axis]
@@ -76,13 +69,13 @@ class GridSpec(_Strict):
     seeds: Annotated[tuple[Annotated[int, Field(ge=0, le=MOST_SEED)], ...], *_Axis]
     robots: Annotated[tuple[Count, ...], *_Axis] | None = None
     set: Mapping[str, Annotated[list[Any], *_Axis]] = Field(default_factory=dict)
+    # The field whose run under A the runs under C begin with.
     source: FieldName = "field_01"
     budget: Budget = Budget()
     resources: Resources = Resources()
 
 
 def read_spec(path: Path) -> GridSpec:
-    """Read a grid; raise a ConfigError that names every value that is wrong."""
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
@@ -100,10 +93,7 @@ def read_spec(path: Path) -> GridSpec:
 
 
 def runs_of(spec: GridSpec) -> list[TrainConfig]:
-    """Return the checked runs of a grid, and those that runs under C begin with.
-
-    A ConfigError names everything that does not fit together.
-    """
+    """Return the checked runs of a grid, and those that runs under C begin with."""
     if problems := _problems(spec):
         raise ConfigError("grid", problems)
     runs = {run.name: run for run in _runs(spec)}
@@ -116,7 +106,6 @@ def without_source(run: TrainConfig) -> TrainConfig:
 
 
 def _problems(spec: GridSpec) -> list[str]:
-    """Return what does not fit together in a grid whose values are valid."""
     problems: list[str] = []
     for name in spec.algorithms:
         known = find_algorithm(name).settings
@@ -155,7 +144,6 @@ def _problems_of_runs(spec: GridSpec) -> Iterator[str]:
 
 
 def _runs(spec: GridSpec) -> Iterator[TrainConfig]:
-    """Expand a grid; under C a run comes after the one that it begins with."""
     device: Literal["cpu", "cuda"] = "cuda" if spec.resources.gpus else "cpu"
     axes = (spec.seeds, spec.fields, spec.algorithms, spec.settings, _changes(spec))
     for seed, field, algorithm, asked, (words, changes) in itertools.product(*axes):
@@ -193,7 +181,6 @@ def _changes(spec: GridSpec) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _in_words(name: str, value: Any) -> str:
-    """Return an axis and its value as a part of a label."""
     last = name.rpartition(".")[2]
     words = re.sub(r"[^\w.+-]+", "+", json.dumps(value)).strip("+")
     return f"{words}robots" if last == "n_robots" else f"{last}{words}"

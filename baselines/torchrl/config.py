@@ -1,7 +1,5 @@
 """The hyperparameters of MAPPO, IPPO and joint PPO."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any

@@ -5,12 +5,11 @@
 # turned and mirrored so that the next ROI lies in the same eighth of the plane, and actions back:
 # forces and limits are per axis, so all eight symmetries of the square are exact without wind.
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Self
 
 import torch
 from torch import nn
@@ -33,7 +32,7 @@ class Tokens:
     roi: tuple[str, ...]
 
     @classmethod
-    def of(cls, table: Sequence[Entry]) -> Tokens:
+    def of(cls, table: Sequence[Entry]) -> Self:
         names = [entry.name for entry in table]
         parts = {
             kind: tuple(name.removeprefix(kind) for name in names if name.startswith(kind))
@@ -131,7 +130,7 @@ class Turned(nn.Module):
         return torch.where(swap, actions.flip(-1), actions) * signs
 
 
-# Which ray is seen as each of the 8 after sign changes of x, y and a swap, (8, 8).
+# The ray that is seen as each of the 8 after sign changes of x, y and a swap, (8, 8).
 def _turned_rays() -> torch.Tensor:
     table = torch.empty(8, 8, dtype=torch.long)
     for element in range(8):
@@ -192,9 +191,8 @@ def _length(vectors: torch.Tensor) -> torch.Tensor:
 class SetEncoder(nn.Module):
     """Make one vector of what a robot sees: pooled tokens of ROIs and robots beside its own."""
 
-    # Where robots do not see the assignment, ROIs' tokens also have Rivals, and are pooled once
+    # If robots do not see the assignment, ROIs' tokens also have Rivals, and are pooled once
     # more, knowing what was found the first time. ``widths``: of the tokens' layers, and the last.
-
     def __init__(self, tokens: Tokens, widths: tuple[int, ...]) -> None:
         super().__init__()
         width, last = widths[0], widths[-1]
@@ -315,7 +313,6 @@ class SetCritic(nn.Module):
     """Values of the robots of a team, 0 of absent ones."""
 
     # If ``central``, each from its own observation and the mean of what all of the team see.
-
     def __init__(self, tokens: Tokens, widths: tuple[int, ...], *, central: bool) -> None:
         super().__init__()
         self._central, last = central, widths[-1]

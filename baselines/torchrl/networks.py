@@ -1,10 +1,7 @@
-"""Actor and critic of a team, as TorchRL's losses and collectors want them.
+"""Actor and critic of a team, as TorchRL's losses and collectors want them."""
 
-The layers compute what TorchRL's ``MultiAgentMLP`` does, faster on a CPU. The modules derive from
-``TensorDictModuleBase``, since ``TensorDictModule`` looks for pandas at every output.
-"""
-
-from __future__ import annotations
+# The layers compute what TorchRL's ``MultiAgentMLP`` does, faster on a CPU. The modules derive from
+# ``TensorDictModuleBase``, since ``TensorDictModule`` looks for pandas at every output.
 
 import math
 from dataclasses import dataclass
@@ -26,8 +23,6 @@ Critic = Literal["centralized", "independent"]
 
 
 class Key:
-    """The entries of a rollout that networks, losses and estimator read and write."""
-
     OBSERVATION, NORMALIZED = ("robots", "observation"), ("robots", "normalized")
     LOC, SCALE, ACTION = ("robots", "loc"), ("robots", "scale"), ("robots", "action")
     LOG_PROB, VALUE, TEACHER = "log_prob", "state_value", ("robots", "teacher")
@@ -58,7 +53,6 @@ class TeamMLP(nn.Module):
     """A tanh network for all rows of a batch, or one for each of k groups of rows."""
 
     # ``sizes``: inputs, hidden layers, outputs. Weights start orthogonal, the last with its gain.
-
     def __init__(self, networks: int, sizes: tuple[int, ...], *, last_gain: float) -> None:
         super().__init__()
         gains = [nn.init.calculate_gain("tanh")] * (len(sizes) - 2) + [last_gain]
@@ -89,7 +83,6 @@ class Normalize(TensorDictModuleBase):
     """Running normalisation of observations, one for each network; none until the first update."""
 
     # Tokens are left as they are: one statistic for all of a kind would not fit each.
-
     def __init__(self, shape: TeamShape) -> None:
         super().__init__()
         self.in_keys, self.out_keys = [Key.OBSERVATION], [Key.NORMALIZED]
@@ -151,10 +144,7 @@ DISTRIBUTIONS = {"decentralized": TeamNormal, "centralized": JointNormal}
 
 
 class GaussianPolicy(TensorDictModuleBase):
-    """Mean and (state-independent) standard deviation of the actions."""
-
     # ``norm`` normalises its input, apart from it, so that an update normalises once.
-
     def __init__(self, shape: TeamShape, log_std: float = 0.0) -> None:
         super().__init__()
         self.in_keys, self.out_keys = [Key.NORMALIZED], [Key.LOC, Key.SCALE]

@@ -1,7 +1,5 @@
 """A trained policy of a team: saved without pickle, loaded to act."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 
@@ -26,7 +24,6 @@ class TeamPolicy(TrainedPolicy):
 
     @torch.no_grad()
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        """Actions (worlds, n, 2) for observations (worlds, n, obs_size)."""
         log_std = self.network.log_std
         mean = self.means(torch.from_numpy(seen).to(log_std.device)).cpu()
         std = log_std.exp().cpu()  # the noise is the same, whatever the device
@@ -42,7 +39,6 @@ class TeamPolicy(TrainedPolicy):
 
 
 def load_policy(folder: Path) -> TeamPolicy:
-    """Load what :meth:`TeamPolicy.save` wrote; raise a RunError if it is missing or damaged."""
     with reading(folder / SHAPE):
         shape = TypeAdapter(TeamShape).validate_python(read_json(folder / SHAPE))
         with torch.device("meta"):  # without memory, of which a wrong shape may want much

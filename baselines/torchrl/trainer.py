@@ -1,7 +1,5 @@
 """MAPPO, IPPO and joint PPO of TorchRL's parts: collect, estimate advantages, descend, repeat."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -49,7 +47,6 @@ def train(task: Task, hyperparameters: MultiAgentPPOConfig, recorder: Recorder) 
 
 
 def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
-    """Check that the hyperparameters fit the environment; a ConfigError names all that do not."""
     settings, drawn = make_config(task.settings), isinstance(task.field, FieldSampler)
     sets = hyperparameters.network == "entities"
     most = task.field.robots[1] if drawn else len(task.field.starts)  # type: ignore[union-attr]
@@ -107,7 +104,6 @@ def find_teacher(source: str, learner: Mapping[str, Any]) -> tuple[TrainedPolicy
 
 
 def check_teacher(source: str, task: Task) -> None:
-    """Raise an MbnError if there is no such teacher, or it cannot act where the learner does."""
     policy, seen = find_teacher(source, task.settings)
     if policy.observes != "observations":
         problem = f"teacher: {source} acts on the state; allowed: on robots' own observations"
@@ -121,31 +117,27 @@ class Teacher:
     """Follow the learner's rollouts in the same worlds, which show what the teacher sees."""
 
     # ``learner``: the settings of its environment, in place of which make_env takes some.
-
     def __init__(
         self, source: str, learner: Mapping[str, Any], make_env: Callable[..., NavigationEnv]
     ) -> None:
         policy, seen = find_teacher(source, learner)
-        self._env = make_env(**seen)
-        self._policy = policy.fit(self._env.engine)
-        self._now = self._env.reset()
+        self.env = make_env(**seen)
+        self._policy = policy.fit(self.env.engine)
+        self._now = self.env.reset()
 
     def actions(self, rollout: TensorDictBase, repeat: int) -> torch.Tensor:
         """Return the mean actions (W, T, n, 2) for a rollout (W, T) that follows the last one."""
-        self._env.action_repeat = repeat
+        self.env.action_repeat = repeat
         answers = []
         for taken in rollout[Key.ACTION].unbind(1):
             seen = self._now[Key.OBSERVATION].numpy(force=True)
             answers.append(torch.from_numpy(self._policy.act(seen, deterministic=True)))
-            _, self._now = self._env.step_and_maybe_reset(self._now.set(Key.ACTION, taken))
+            _, self._now = self.env.step_and_maybe_reset(self._now.set(Key.ACTION, taken))
         return torch.stack(answers, 1).clamp_(-1.0, 1.0).to(rollout.device)
 
-    def save_state(self) -> dict[str, NDArray[Any]]:
-        return self._env.save_state()
-
     def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:
-        self._env.load_state(saved)
-        self._now = self._env.reset()
+        self.env.load_state(saved)
+        self._now = self.env.reset()
 
 
 class Trainer:
@@ -277,7 +269,6 @@ class Trainer:
 
     @torch.no_grad()
     def _estimate(self, rollout: TensorDictBase, repeat: int) -> None:
-        """Write advantages and value targets into a rollout (W, T)."""
         # An episode cut off by the time limit bootstraps from the value of its own last
         # observation, rollout["next"], never from that of the next episode's first.
         self.critic(rollout)
@@ -328,7 +319,6 @@ class Trainer:
         return nearer
 
     def _descend(self, samples: TensorDictBase, weight: float) -> dict[str, float]:
-        """Take the epochs' steps on minibatches; return the means of the losses."""
         # The normalisation does not change meanwhile: old and new log-probabilities are of the
         # same inputs. ``weight`` is that of the distance from the teacher's actions.
         history = []
@@ -352,7 +342,7 @@ class Trainer:
         tensors.write_tensors(folder / OPTIMIZER, moments)
         write_arrays(folder / WORLDS, self.env.save_state(), compress=True)
         if self.teacher is not None:
-            write_arrays(folder / TEACHER_WORLDS, self.teacher.save_state(), compress=True)
+            write_arrays(folder / TEACHER_WORLDS, self.teacher.env.save_state(), compress=True)
         counters = {"env_steps": env_steps, "curriculum": asdict(self.curriculum)}
         write_json(folder / COUNTERS, {**counters, "generators": tensors.save_generators()})
 

@@ -1,7 +1,5 @@
 """Aids of training, which evaluations do without: large ROIs, long decisions, short episodes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -31,13 +29,56 @@ SUCCESS = (0.4, 0.8)
 DRAWS = 1000
 
 
+@dataclass
+class RoiCurriculum:
+    """The size of ROIs while a team learns, as a multiple of the true radius."""
+
+    # It falls from ``first`` to 1 in STAGES, by the same factor each, as the success rate of each
+    # ``window`` episodes allows.
+
+    first: float
+    window: int
+    stage: int = 0
+    moves: int = 0
+    ended: int = 0
+    succeeded: int = 0
+
+    @property
+    def radius(self) -> float:
+        return float(self.first ** (1.0 - self.stage / STAGES))
+
+    def add(self, successes: Sequence[float]) -> None:
+        self.ended += len(successes)
+        self.succeeded += round(sum(successes))
+
+    def move(self) -> bool:
+        """Change the stage if the window is full; return whether the size has changed."""
+        if self.ended < self.window:
+            return False
+        (low, high), rate, before = SUCCESS, self.succeeded / self.ended, self.radius
+        self.ended = self.succeeded = 0
+        if rate >= high:
+            self.stage = min(self.stage + 1, STAGES)
+        elif rate < low:
+            self.stage = max(self.stage - 1, 0)
+        moved = self.radius != before
+        self.moves += moved
+        return moved
+
+    def seed(self, first: int) -> int:
+        """The seed of the worlds: ``first``, and another after every change of the size."""
+        if self.moves == 0:
+            return first
+        return int(np.random.SeedSequence((first, self.moves)).generate_state(1, np.uint64)[0] >> 1)
+
+
 class TrainingAids(Hyperparameters):
     # The learner sees the reward times this.
     reward_scale: Positive = 1.0
     # Env-steps that a decision lasts, from and to, falling linearly (rounded). Evaluations always
     # decide at every step.
     action_repeat: tuple[Count, Count] = (1, 1)
-    # How many times as large ROIs are at first in training, 1 for no curriculum.
+    # ROIs are so many times as large at first in training, 1 for no curriculum.
     roi_radius: Annotated[float, pydantic.Field(ge=1.0, allow_inf_nan=False)] = 1.0
     # The share of the worlds whose robots start anywhere in the field, elsewhere at every stage,
     # until ROIs have their true size. A start beside an ROI visits it while it is large: a team
@@ -84,7 +125,6 @@ class TrainingAids(Hyperparameters):
 
 
 def with_other_starts(field: Field, apart: float, rng: np.random.Generator) -> Field:
-    """Return the field with as many starts anywhere in it, at least ``apart`` units apart."""
     starts: list[NDArray[np.float64]] = []
     for point in rng.uniform(field.vertices.min(0), field.vertices.max(0), (DRAWS, 2)):
         clear = all(np.hypot(*(point - start)) >= apart for start in starts)
@@ -100,46 +140,3 @@ def between(ends: tuple[float, float], share: float) -> float:
     """Interpolate: the number a ``share``, cut to [0, 1], of the way from one end to the other."""
     start, end = ends
     return start + (end - start) * min(1.0, max(0.0, share))
-
-
-@dataclass
-class RoiCurriculum:
-    """The size of ROIs while a team learns, as a multiple of the true radius."""
-
-    # It falls from ``first`` to 1 in STAGES, by the same factor each, as the success rate of each
-    # ``window`` episodes allows.
-
-    first: float
-    window: int
-    stage: int = 0
-    moves: int = 0
-    ended: int = 0
-    succeeded: int = 0
-
-    @property
-    def radius(self) -> float:
-        return float(self.first ** (1.0 - self.stage / STAGES))
-
-    def add(self, successes: Sequence[float]) -> None:
-        self.ended += len(successes)
-        self.succeeded += round(sum(successes))
-
-    def move(self) -> bool:
-        """Change the stage if the window is full; return whether the size has changed."""
-        if self.ended < self.window:
-            return False
-        (low, high), rate, before = SUCCESS, self.succeeded / self.ended, self.radius
-        self.ended = self.succeeded = 0
-        if rate >= high:
-            self.stage = min(self.stage + 1, STAGES)
-        elif rate < low:
-            self.stage = max(self.stage - 1, 0)
-        moved = self.radius != before
-        self.moves += moved
-        return moved
-
-    def seed(self, first: int) -> int:
-        """The seed of the worlds: ``first``, and another after every change of the size."""
-        if self.moves == 0:
-            return first
-        return int(np.random.SeedSequence((first, self.moves)).generate_state(1, np.uint64)[0] >> 1)

@@ -1,7 +1,5 @@
 """A training run: the request, its hyperparameters, and what a trainer gets."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -76,7 +74,7 @@ class TrainConfig:
     # transfer` does it all; mappo, ippo and ppo-joint take the actor's network, also of the zoo
     # (zoo:NAME), whose field may be another one.
     transferred_from: Annotated[Path | None, arg(name="from", metavar="RUN")] = None
-    # Where the networks run, and under mappo, ippo and ppo-joint the worlds too; of the others,
+    # The networks run there, and under mappo, ippo and ppo-joint the worlds too; of the others,
     # worth it for crossq and tqc.
     device: Literal["cpu", "cuda"] = "cpu"
     # The name in tables and figures, and of the folder; by default the algorithm.
@@ -100,7 +98,6 @@ class TrainConfig:
 
     @property
     def name(self) -> str:
-        """The run's name, unique in a comparison."""
         centralized = "A" in find_algorithm(self.algorithm).settings
         learner = f"{self.algorithm}-{self.setting}" if centralized else self.shown_as
         return f"{self.label or learner}-{Path(self.field).stem}-seed{self.seed}"
@@ -156,14 +153,13 @@ def problems_of(request: Mapping[str, Any]) -> list[str]:
 
 
 def default_label(algorithm: str, setting: str) -> str:
-    """Return the name in tables and figures of a run without a label; setting N is left out."""
     return algorithm if setting == "N" else f"{algorithm}-{setting}"
 
 
 class Hyperparameters(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    # Where the numbers come from.
+    # The origin of the numbers.
     source: str = pydantic.Field("", repr=False)
     # The algorithm's own settings of the environment.
     environment: dict[str, Any] = pydantic.Field(default_factory=dict)
@@ -175,7 +171,6 @@ Model = TypeVar("Model", bound=pydantic.BaseModel)
 
 
 def read_blocks(path: Path) -> dict[str, Any]:
-    """Read a YAML file of named blocks; raise a ConfigError if it is none."""
     try:
         data = path.read_bytes()
         blocks = parse_yaml(data, str(path))
@@ -189,16 +184,13 @@ def read_blocks(path: Path) -> dict[str, Any]:
 
 
 def read_block(path: Path, name: str) -> dict[str, Any]:
-    """Read one block of a YAML file; raise a ConfigError if there is none."""
     blocks = read_blocks(path)
     if name not in blocks:
         raise ConfigError(str(path), [f"{name}: {unknown('block', name, map(str, blocks))}"])
-    block: dict[str, Any] = blocks[name]
-    return block
+    return dict(blocks[name])
 
 
 def validate(model: type[Model], values: Mapping[str, Any], source: str) -> Model:
-    """Validate ``values``; raise a ConfigError that names every wrong one and what is allowed."""
     try:
         return model.model_validate(dict(values))
     except pydantic.ValidationError as error:
@@ -206,10 +198,7 @@ def validate(model: type[Model], values: Mapping[str, Any], source: str) -> Mode
 
 
 def parse(words: Sequence[str]) -> dict[str, Any]:
-    """Read words: ``["model.gamma=0.9", "a=b"]`` is ``{"model": {"gamma": 0.9}, "a": "b"}``.
-
-    A value is JSON, or else the word as it is. A ConfigError names all that is wrong.
-    """
+    """Read words: ``["model.gamma=0.9", "a=b"]`` is ``{"model": {"gamma": 0.9}, "a": "b"}``."""
     values: dict[str, Any] = {}
     problems = []
     for word in words:
@@ -251,8 +240,6 @@ def _value(text: str) -> Any:
 
 
 class Budget(NamedTuple):
-    """The env-steps of a run, rounded up to the ``unit`` that its algorithm learns from."""
-
     env_steps: int
     unit: str
     # If not, ``env_steps`` is the most that the run may take.

@@ -1,7 +1,5 @@
 """The log of a training: progress rows, fresh evaluations, policies, checkpoints, bars."""
 
-from __future__ import annotations
-
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -61,7 +59,6 @@ Listener = Callable[[Report], None]
 
 @contextmanager
 def progress_bars(runs: Iterable[str], total: int) -> Iterator[Listener]:
-    """Show one bar per run; yield what receives the reports."""
     # Without a terminal (in a log file) each finished run prints one line.
     screen = console()
     columns = (*Progress.get_default_columns(), TextColumn("{task.fields[state]}"))
@@ -83,7 +80,6 @@ def progress_bars(runs: Iterable[str], total: int) -> Iterator[Listener]:
 
 
 def find_wandb() -> ModuleType:
-    """Return the library of Weights & Biases; raise a ConfigError if it is not installed."""
     try:
         return import_module("wandb")
     except ImportError:
@@ -92,10 +88,7 @@ def find_wandb() -> ModuleType:
 
 
 class EpisodeWindow:
-    """Training episodes that ended since the last progress row."""
-
     # Their mean is optimistic, since stuck worlds finish rarely: results are of fresh evaluations.
-
     def __init__(self) -> None:
         self._returns: list[float] = []
         self._successes: list[float] = []
@@ -105,7 +98,6 @@ class EpisodeWindow:
         self._successes += map(float, successes)
 
     def pop(self) -> dict[str, float]:
-        """Return count, mean, range and success rate since the last call; NaN without episodes."""
         count, returns = float(len(self._returns)), np.asarray(self._returns or [np.nan])
         rate = float(np.mean(self._successes or [np.nan]))
         self._returns, self._successes = [], []
@@ -126,9 +118,9 @@ class Recorder:
         self.episodes = EpisodeWindow()
         # The checkpoint that the trainer has to resume.
         self.checkpoint = folder.checkpoint
-        # Whether the trainer should call save_checkpoint as soon as it is between two updates.
+        # Then the trainer should call save_checkpoint as soon as it is between two updates.
         self.checkpoint_due = False
-        # Whether a fresh evaluation met the criterion for stopping: the trainer then calls finish.
+        # Then a fresh evaluation met the criterion for stopping: the trainer calls finish.
         self.passed = False
         self._folder, self._task, self._listener = folder, task, listener
         self._diagnostics: Mapping[str, float] = {}
@@ -154,7 +146,6 @@ class Recorder:
         self._board = SummaryWriter(events, purge_step=self._last_row + 1)
 
     def scalars(self, env_steps: int, values: Mapping[str, float]) -> None:
-        """Log numbers by name, to TensorBoard and Weights & Biases, not to ``progress.csv``."""
         for name, value in values.items():
             self._board.add_scalar(name, value, env_steps)
         if self._wandb is not None:
@@ -170,7 +161,6 @@ class Recorder:
     def update(
         self, env_steps: int, policy: TrainedPolicy, diagnostics: Mapping[str, float]
     ) -> None:
-        """Record an update of the learner; make a fresh evaluation when one is due."""
         # ``diagnostics`` are numbers for progress.csv, with the same names every time.
         self._diagnostics = diagnostics
         config = self._task.config
@@ -213,7 +203,6 @@ class Recorder:
         self.start()
 
     def finish(self, env_steps: int, policy: TrainedPolicy) -> None:
-        """Make the final evaluation of the last policy; its file marks the run as finished."""
         if env_steps > self._last_row:
             self._write_row(env_steps)
         with self._folder.new_policy() as place:

@@ -1,7 +1,5 @@
 """One training run, from a configuration to a finished run folder."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -35,18 +33,9 @@ def train(
     wandb: str | None = None,
     listener: Listener = lambda report: None,
 ) -> RunFolder:
-    """Train one policy and evaluate it; everything is checked before the folder is made.
-
-    ``out`` is the run folder to make, and ``command`` the exact command, recorded in it. ``force``
-    moves a folder that is already there aside; ``resume`` continues the interrupted run in it from
-    its newest checkpoint, and leaves a finished one. ``wandb`` is a project of Weights & Biases.
-
-    Raises:
-        MbnError: an entry is not valid; or ``out`` holds something else, or is being trained.
-        RunError: a file could not be written; what was saved before is as it was.
-        DivergenceError: the learner's numbers are no longer finite.
-        KeyboardInterrupt: naming the folder, its checkpoint and ``--resume``.
-    """
+    """Train one policy and evaluate it; everything is checked before the folder is made."""
+    # ``force`` moves a folder that is there aside; ``resume`` continues the interrupted run in it,
+    # and leaves a finished one. ``wandb`` is a project of Weights & Biases.
     import torch
 
     if config.device == "cuda" and not torch.cuda.is_available():
@@ -97,7 +86,6 @@ def notes(config: TrainConfig) -> list[str]:
 
 
 def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
-    """Load and resolve what a trainer gets; raise an MbnError if any of it is not valid."""
     problems: list[str] = []
     recorded: dict[str, Any] = {}
     with collecting(problems):
@@ -163,7 +151,6 @@ def _running(run: RunFolder) -> Iterator[None]:
 
 
 def sizes(theirs: Field, ours: Field) -> dict[str, tuple[Any, Any]]:
-    """Return, by name, what a policy of one field needs to be equal in another one."""
     return {
         "robots": (len(theirs.starts), len(ours.starts)),
         "ROIs": (len(theirs.rois), len(ours.rois)),
@@ -204,7 +191,6 @@ def found_anywhere(field: str) -> str:
 
 
 def resolve(task: Task, hyperparameters: Hyperparameters) -> Mapping[str, Any]:
-    """Return the resolved configuration of a run, with every default, as JSON values."""
     paths = {
         name: str(path if str(path).startswith(PREFIX) else path.resolve())
         for name in ("hyperparams", "transferred_from")

@@ -1,7 +1,5 @@
 """A study of hyperparameters: Optuna draws, prunes and records the trials."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Callable
@@ -31,10 +29,10 @@ from baselines.training.train import found_anywhere, train
 from mbn_marl.errors import ConfigError, MbnError
 
 JOURNAL = "study.log"
+# The entries that a study records of its trainings.
 CONFIG = ("algorithm", "field", "seed", "steps", "evaluate_every", "episodes", "num_envs")
-"""What a study records of its trainings."""
+# The attribute of a trial whose learner diverged, with its error, and its constraint.
 DIVERGED = "diverged"
-"""The attribute of a trial whose learner diverged, with its error, and its constraint."""
 
 
 def tune(
@@ -48,19 +46,9 @@ def tune(
     force: bool = False,
     listener: Callable[[FrozenTrial], None] = lambda trial: None,
 ) -> Path:
-    """Run a study in the folder ``out``; return the YAML file with the best values as setting B.
-
-    Its trainings are ``config`` under setting A with values that Optuna draws; the seed is the
-    sampler's too. It ends when ``trials`` (> 0) are finished or pruned, with those from before.
-    ``out``, which all machines of a Ray cluster see, records the exact ``command``; ``force`` moves
-    a folder that is there aside, ``resume`` continues its study. ``listener`` receives each trial.
-
-    Raises:
-        ConfigError: ``trials`` is below 1, or the study in ``out`` tunes something else.
-        RunError: ``out`` holds something already, no study to resume, a damaged one, or one that is
-            running; or no trial was finished.
-        MbnError: the paper did not tune the algorithm, or there is no Ray cluster.
-    """
+    """Run a study in the folder ``out``; return the YAML file with the best values as setting B."""
+    # The trainings are ``config`` under setting A with values that Optuna draws. It ends when so
+    # many trials are finished or pruned, with those from before.
     if trials < 1:
         raise ConfigError("tuning", [f"trials: must be at least 1 (got {trials})"])
     search_space(config.algorithm)
@@ -91,7 +79,6 @@ def tune(
 
 
 def search_space(algorithm: str) -> dict[str, tuple[float, float]]:
-    """Return the paper's ranges for what the library's class takes; an MbnError without any."""
     find_algorithm(algorithm)
     if algorithm not in published.ALGORITHMS:
         known = ", ".join(published.ALGORITHMS)
@@ -113,12 +100,10 @@ def suggest(trial: Trial, algorithm: str) -> dict[str, Any]:
 
 
 def begin_study(folder: Path) -> None:
-    """Write the journal of a study without trials."""
     optuna.create_study(study_name="study", storage=_storage(folder), direction="maximize")
 
 
 def load_study(folder: Path) -> Study:
-    """Load the study of ``folder``; raise a RunError if its journal is missing or damaged."""
     place = folder / JOURNAL
     if not place.is_file():
         raise RunError(f"{folder} is not the folder of a study: it has no {JOURNAL}")
@@ -138,7 +123,6 @@ def _storage(folder: Path) -> JournalStorage:
 
 
 def ended(study: Study) -> list[FrozenTrial]:
-    """Return the trials that count: finished or pruned."""
     return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED))
 
 
@@ -152,15 +136,12 @@ def _without_lost_trials(folder: Path) -> Study:
 
 @dataclass(frozen=True)
 class TrialJob:
-    """The next trial of the study in ``folder``."""
-
     config: TrainConfig
     folder: Path
     command: str
 
 
 def run_trial(job: TrialJob, report: Callable[[Any], None]) -> FrozenTrial:
-    """Run the study's next trial, which Optuna writes to the journal; return how it ended."""
     trials: list[FrozenTrial] = []
     load_study(job.folder).optimize(
         lambda trial: _train(job, trial), 1, callbacks=[lambda study, trial: trials.append(trial)]
@@ -169,12 +150,6 @@ def run_trial(job: TrialJob, report: Callable[[Any], None]) -> FrozenTrial:
 
 
 def _train(job: TrialJob, trial: Trial) -> float:
-    """Train a trial; return the mean return of its final evaluation.
-
-    Raises:
-        TrialPruned: its best return so far is below the median of the finished trials', or its
-            learner diverged.
-    """
     # The trial's number decides the draws: no process, and no later one, repeats those of another.
     seed = (job.config.seed + trial.number) % (MOST_SEED + 1)
     trial.study.sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
@@ -229,7 +204,6 @@ def _write_results(study: Study, config: TrainConfig, folder: Path) -> Path:
 
 
 def _draw(study: Study, folder: Path) -> None:
-    """Save Optuna's figures ``history.png`` and, with enough trials, ``importances.png``."""
     with plt.rc_context(), warnings.catch_warnings(action="ignore"):  # they are experimental
         plots.plot_optimization_history(study, target_name="mean return")
         plt.savefig(folder / "history.png")

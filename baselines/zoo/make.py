@@ -1,7 +1,5 @@
 """Make an entry of the zoo from a finished run."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 from typing import Any
@@ -16,19 +14,11 @@ from mbn_marl.field import Field, catalogue_names, sampler_names, save_field
 from mbn_marl.optimum import optimal_return
 
 EPISODES = 100
+# Bytes of an entry's files together.
 LARGEST = 1_000_000
-"""Bytes of an entry's files together."""
 
 
 def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
-    """Evaluate a finished run's policy, make the folder ``path`` of it, and return its card.
-
-    The folder's name is the entry's. One that is there is replaced when all has gone well.
-
-    Raises:
-        RunError: the run is not finished, or ``path`` holds something that is no entry.
-        ConfigError: its field is not the catalogue's, or it is too large.
-    """
     if not run.finished:
         raise RunError(f"{run.path} is not finished; resume it first (--resume)")
     config, field = run.config, run.config["field"]
@@ -72,7 +62,6 @@ def make_card(run: RunFolder, name: str) -> dict[str, Any]:
 
 
 def plain_command(command: str) -> str:
-    """A recorded command without the options that only place its files."""
     words, kept = iter(shlex.split(command)), []
     for word in words:
         if word in ("--out", "-o"):

@@ -20,7 +20,7 @@ from mbn_marl.config import MAX_ROBOTS, MAX_ROIS, describe, make_config
 from mbn_marl.engine import REWARD_TERMS
 from mbn_marl.episode.episode import Episode, Outcome
 from mbn_marl.errors import EpisodeError, MbnError
-from mbn_marl.files import replacing
+from mbn_marl.files import check_ending, replacing
 from mbn_marl.version import __version__
 
 FORMAT: Final = "mbn-episode/1"
@@ -115,9 +115,7 @@ class EpisodeFile(_Strict):
 
 
 def save_episode(episode: Episode, path: str | Path) -> Path:
-    path = Path(path)
-    if path.suffix.lower() != ".json":
-        raise MbnError(f"{path}: the file name has to end in .json")
+    path = check_ending(Path(path), ".json")
     document = to_file(episode).model_dump(mode="json")
     text = json.dumps(document, ensure_ascii=False, separators=(",", ":"))
     with replacing(path) as temporary:

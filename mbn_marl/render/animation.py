@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.errors import MbnError, install
-from mbn_marl.files import replacing
+from mbn_marl.files import check_ending, replacing
 
 _MOST_FPS = {".gif": 50.0, ".mp4": 120.0}  # a GIF counts hundredths of a second
 _LEAST_FPS = 0.01
@@ -91,9 +91,7 @@ def write_gif(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.
 
 
 def _checked(path: str | Path, ending: str, fps: float) -> Path:
-    path = Path(path)
-    if path.suffix.lower() != ending:
-        raise MbnError(f"{path}: the file name has to end in {ending}")
+    path = check_ending(Path(path), ending)
     if not _LEAST_FPS <= fps <= _MOST_FPS[ending]:
         raise MbnError(f"{path}: fps: {fps}; allowed: {_LEAST_FPS:g} to {_MOST_FPS[ending]:g}")
     return path

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from mbn_marl.engine import Snapshot
 from mbn_marl.errors import MbnError
 from mbn_marl.field import Field
-from mbn_marl.files import replacing
+from mbn_marl.files import check_ending, replacing
 from mbn_marl.render import maps, style
 
 FORMATS = (".png", ".pdf", ".svg")
@@ -111,9 +111,7 @@ def overlay_panels(
 
 
 def check_name(path: Path) -> Path:
-    if path.suffix.lower() not in FORMATS:
-        raise MbnError(f"{path}: the file name has to end in {', '.join(FORMATS)}")
-    return path
+    return check_ending(path, *FORMATS)
 
 
 @matplotlib.rc_context(style.MATPLOTLIB)

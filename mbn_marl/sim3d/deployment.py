@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from time import process_time
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -18,11 +18,9 @@ from mbn_marl.sim3d.simulator import Floats, Mission, Simulator
 
 
 class Policy(Protocol):
-    """``act`` returns actions (1, n, 2) for observations (1, n, size) or the state (1, 4n + 1)."""
+    """``act_in`` returns actions (1, n, 2) in an engine, from the observations that it showed."""
 
-    observes: Literal["observations", "state"]
-
-    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray: ...
+    def act_in(self, world: BatchEngine, observations: Any) -> Any: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +95,7 @@ def deploy(
     seconds, log, commands = 0.0, EpisodeLog(engine), list[Floats]()
     failed = np.zeros(engine.n_robots, np.bool_)
     while engine.running[0]:
-        seen = engine.state() if policy.observes == "state" else observations
-        actions = np.asarray(policy.act(seen, deterministic=True)[0])
+        actions = np.asarray(policy.act_in(engine, observations)[0])
         command = world.command(actions)
         for robot in np.flatnonzero(command.failed & ~failed):
             simulator.fail(int(robot), kind)

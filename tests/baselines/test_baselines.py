@@ -5,12 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 
+from baselines.algorithms import ALGORITHMS
 from baselines.evaluation import intervals as statistics
 from baselines.evaluation.evaluate import evaluate
 from baselines.policies.policy import Policy
 from baselines.sb3 import config as centralized_config
-from baselines.torchrl.networks import GaussianPolicy, TeamShape
+from baselines.torchrl.networks import (
+    GaussianPolicy,
+    JointNormal,
+    Key,
+    Normalize,
+    Sharing,
+    TeamNormal,
+    TeamShape,
+    ValueNetwork,
+)
 from baselines.torchrl.policy import TeamPolicy
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
@@ -40,6 +51,13 @@ def test_mean_intervals_by_hand() -> None:
     assert statistics.mean_interval([0.0, 10.0]) == statistics.Interval(5.0, 0.0, 10.0)
     with pytest.raises(ValueError):
         statistics.mean_interval([])
+
+
+def test_every_algorithm_has_hyperparameters_and_refuses_unknown_ones() -> None:
+    for algorithm in ALGORITHMS.values():
+        assert algorithm.resolve({}).reward_scale > 0
+        with pytest.raises(ConfigError, match="momentum: "):
+            algorithm.resolve({"momentum": 0.9})
 
 
 def test_centralized_model_arguments_are_those_of_the_library() -> None:
@@ -83,3 +101,59 @@ def test_evaluations_are_reproducible_and_leave_torch_alone() -> None:
     ]
     assert runs[0] == runs[1]
     assert torch.equal(torch.rand(3), expected)
+
+
+def test_normalisation_begins_with_the_first_update_and_is_by_network() -> None:
+    norm = Normalize(TeamShape(2, 1, (8,), "full"))
+    assert norm.normalize(torch.tensor([3.0, 5.0])).tolist() == [3.0, 5.0]
+    norm.statistics.update(torch.tensor([[[0.0, 1.0]], [[2.0, 5.0]]]))  # means 1, 3; variances 1, 4
+    assert norm.normalize(torch.tensor([2.0, 5.0])).tolist() == [1.0, 1.0]
+    row = TensorDict({Key.OBSERVATION: torch.tensor([[[100.0, 3.0]]])}, (1,))
+    assert norm(row)[Key.NORMALIZED].tolist() == [[[10.0, 0.0]]]
+    norm = Normalize(TeamShape(1, 2, (8,), "none"))
+    norm.statistics.update(torch.tensor([[[0.0], [10.0]], [[2.0], [30.0]]]))
+    # Means 1 and 20, deviations 1 and 10.
+    assert norm.normalize(torch.tensor([[2.0], [10.0]])).tolist() == [[1.0], [-1.0]]
+
+
+def _seen_by(network: GaussianPolicy | ValueNetwork, key: object) -> list[bool]:
+    before = torch.randn(5, 3, 4)
+    after = before.clone()
+    after[:, 2] += 1.0
+    outputs = [network(TensorDict({Key.NORMALIZED: seen}, (5,)))[key] for seen in (before, after)]
+    changed: list[bool] = ((outputs[0] - outputs[1]).abs().amax((0, -1)) > 1e-6).tolist()
+    return changed
+
+
+def test_only_central_critics_and_actors_see_the_other_robots() -> None:
+    torch.manual_seed(0)
+    alone, together = [False, False, True], [True] * 3
+    sharing: Sharing
+    for sharing in ("full", "none"):
+        shape = TeamShape(4, 3, (8,), sharing)
+        assert _seen_by(ValueNetwork(shape, "centralized"), Key.VALUE) == together
+        assert _seen_by(ValueNetwork(shape, "independent"), Key.VALUE) == alone
+    assert _seen_by(GaussianPolicy(TeamShape(4, 3, (8,), "none")), Key.LOC) == alone
+    joint = TeamShape(4, 3, (8,), "none", "centralized")
+    assert _seen_by(GaussianPolicy(joint), Key.LOC) == together
+    row = TensorDict({Key.NORMALIZED: torch.ones(5, 3, 4)}, (5,))
+    assert ValueNetwork(joint, "centralized")(row)[Key.VALUE].shape == (5, 1, 1)
+
+
+@pytest.mark.parametrize(("kind", "shape"), [(TeamNormal, (7, 3)), (JointNormal, (7, 1))])
+def test_distributions_are_those_of_torch(kind: type[TeamNormal], shape: tuple[int, int]) -> None:
+    torch.manual_seed(0)
+    loc, value = torch.randn(2, 7, 3, 2)
+    scale = torch.tensor([[0.5, 1.0], [2.0, 0.1], [1.0, 3.0]]).expand(7, 3, 2)
+    ours, theirs = kind(loc, scale), torch.distributions.Normal(loc, scale)
+    for found, terms in (
+        (ours.log_prob(value), theirs.log_prob(value)),
+        (ours.entropy(), theirs.entropy()),
+    ):
+        assert found.shape == shape
+        assert torch.allclose(found, terms.reshape(*shape, -1).sum(-1), atol=1e-4)
+    assert torch.equal(ours.deterministic_sample, loc)
+    torch.manual_seed(1)
+    noise = torch.randn(7, 3, 2)
+    torch.manual_seed(1)
+    assert torch.allclose(ours.rsample(), loc + scale * noise)

@@ -56,6 +56,7 @@ def test_values_are_equal_and_immutable() -> None:
             array.setflags(write=True)
 
 
+# The place of a problem, another place that it names, and arguments with no other problem.
 INVALID: dict[tuple[str, str], list[Any]] = {
     ("vertices", ""): [SQUARE[:2], "triangle", [(0, 0), (50, 50), (100, 100)], circle(501)],
     ("rois", ""): [[], None, [(90, 80 + k / 4) for k in range(25)], {(90, 90)}],
@@ -64,7 +65,6 @@ INVALID: dict[tuple[str, str], list[Any]] = {
     ("rois[1]", ""): [[(90, 90), (90, 90, 0)], [(90, 90), 7]],
     ("rois[0].y", ""): [[(90,)], [(90, math.inf)], [(90, 10**5000)]],
     ("starts[0].x", ""): [[(True, 10)], [(math.nan, 10)]],
-    ("starts[0].y", ""): [[(10, "9")], [(10, 1j)]],
     ("rois[0]", ""): [[(100.5, 50)]],
     ("vertices[4].x", ""): [[*SQUARE, (-math.inf, 50)], [*SQUARE, (-1, 50)]],
     ("arena", ""): [100],
@@ -78,19 +78,15 @@ INVALID: dict[tuple[str, str], list[Any]] = {
     ("holes[0]", "holes[0][0]-holes[0][1] meets holes[0][2]-holes[0][3]"): [
         [[HOLE[0], HOLE[2], HOLE[1], HOLE[3]]],
     ],
-    ("holes[0][1].y", ""): [[[HOLE[0], (60, None), *HOLE[2:]]]],
     ("holes[0]", ""): [
-        *([HOLE[:2]], [SQUARE[:3]], [[(70, 70), (100, 75), (70, 80)]]),
-        *([[(70, 70), (110, 70), (70, 90)]], [[(210, 70), (310, 70), (210, 90)]]),
+        *([HOLE[:2]], [SQUARE[:3]], [[(70, 70), (110, 70), (70, 90)]]),
     ],
     ("holes[1]", "holes[0]"): [
-        [HOLE, [(60, 60), (70, 60), (70, 70)]],
         [HOLE, [(45, 45), (55, 45), (50, 55)]],  # inside the other
     ],
     ("name", ""): ["../up", "line\n", "", "x" * 65, 7],
     ("optimal_makespan", ""): [0, 2.5, True],
 }
-"""The place of a problem, another place that it names, and arguments that have no other problem."""
 
 
 @pytest.mark.parametrize(("place", "other"), INVALID)
@@ -127,10 +123,8 @@ def test_problems_of_several_arguments() -> None:
 
 
 def test_points_that_rounding_puts_outside_are_on_the_border() -> None:
-    slanted, hole = (
-        [(10.1, 20.3), (333.3, 47.9), (280.7, 310.1)],
-        [(250, 100), (270, 99), (260, 80.3)],
-    )
+    slanted = [(10.1, 20.3), (333.3, 47.9), (280.7, 310.1)]
+    hole = [(250, 100), (270, 99), (260, 80.3)]
     for border in (shapely.LinearRing(slanted), shapely.LinearRing(hole)):
         for share in np.linspace(0.0, 1.0, 100, endpoint=False):
             x, y = shapely.get_coordinates(border.interpolate(share, normalized=True))[0]

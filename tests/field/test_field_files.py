@@ -66,18 +66,15 @@ def test_unknown_name_suggests_and_lists() -> None:
     assert str(caught.value).count("field_03") == 2
 
 
-class TestSamplers:
-    def test_round_trip(self, tmp_path: Path) -> None:
-        sampler = FieldSampler(("farm", "convex"), (2, 5), 4, (200, 300), weights=(1, 3), seed=9)
-        save_field(sampler, tmp_path / "copy.yaml")
-        assert load_fields(tmp_path / "copy.yaml") == sampler
-        for source in ("random_convex", str(tmp_path / "copy.yaml")):
-            with pytest.raises(FieldError):
-                load_field(source)
-
-    def test_wrong_arguments_are_named_together(self, tmp_path: Path) -> None:
-        text = write(tmp_path, "format: mbn-sampler/1\nrobots: 0\nsides: 3\n")
-        assert sorted(places_of(lambda: load_fields(text))) == ["robots", "sides"]
+def test_samplers_are_files_too(tmp_path: Path) -> None:
+    sampler = FieldSampler(("farm", "convex"), (2, 5), 4, (200, 300), weights=(1, 3), seed=9)
+    save_field(sampler, tmp_path / "copy.yaml")
+    assert load_fields(tmp_path / "copy.yaml") == sampler
+    for source in ("random_convex", str(tmp_path / "copy.yaml")):
+        with pytest.raises(FieldError):
+            load_field(source)
+    wrong = write(tmp_path, "format: mbn-sampler/1\nrobots: 0\nsides: 3\n")
+    assert sorted(places_of(lambda: load_fields(wrong))) == ["robots", "sides"]
 
 
 VALUES = st.recursive(
@@ -210,22 +207,15 @@ class TestFiles:
         assert Field(**field.to_dict()) == field
 
 
-TAGGED = """\
-grid_size: 50
-field:
-- !!python/tuple
-  - 4.5
-  - 2.0
-- !!python/tuple
-  - 30
-  - 2
-- [30, 40.25]
-infected_locations:
-- !!python/tuple [28, 20]
-- [20, 10]
-init_positions:
-- !!python/tuple [25, 15]
-"""
+# The authors' own files: tens of units, tuples as tags, one or several sets in a file.
+TAGGED = yaml.dump(
+    {
+        "grid_size": 50,
+        "field": [(4.5, 2.0), (30, 2), [30, 40.25]],
+        "infected_locations": [(28, 20), [20, 10]],
+        "init_positions": [(25, 15)],
+    }
+)
 SETS = """\
 {"set1": {"field": [[0.0, 0.0], [90.0, 0.0], [0.0, 90.0]],
           "init_positions": [[10.0, 10.0], [10.0, 12.5]], "infected_locations": [[20.0, 20.0]]},
@@ -236,13 +226,9 @@ SETS = """\
 
 class TestAuthorsSets:
     def test_a_set_is_read_in_arena_units(self, tmp_path: Path) -> None:
-        own = Field(
-            vertices=[(45, 20), (300, 20), (300, 402.5)],
-            rois=[(280, 200), (200, 100)],
-            starts=[(250, 150)],
-            arena=(500, 500),
-            name="set_1",
-        )
+        outline, rois = [(45, 20), (300, 20), (300, 402.5)], [(280, 200), (200, 100)]
+        own = Field(outline, rois, [(250, 150)], arena=(500, 500), name="set_1")
+        assert "!!python/tuple" in TAGGED
         assert load_field(write(tmp_path, TAGGED, "set#1.yaml")) == own
 
     def test_one_of_several_sets(self, tmp_path: Path) -> None:

@@ -90,13 +90,6 @@ def test_tables_are_those_of_make_geometry(dtype: Any) -> None:
         assert tables.robots_in[world] == n
 
 
-def test_numbers_can_change_between_calls() -> None:
-    sampler, easy = sampler_of(*FAMILIES, rois=(1, 10)), sampler_of("farm", robots=2, rois=3)
-    for one, other in zip(made(sampler, 5, easy.numbers()), made(easy, 5), strict=True):
-        rows = tuple(slice(length) for length in other.shape)
-        np.testing.assert_array_equal(one[rows], other)
-
-
 def test_without_room_it_is_a_square() -> None:
     sampler = FieldSampler(("corridors",), robots=9, rois=16, size=200)
     numbers = sampler.numbers()

@@ -35,7 +35,7 @@ def test_instances_are_fields_with_what_is_known_of_them(tmp_path: Path) -> None
 
 def test_a_field_that_is_another_is_an_error_that_names_it(tmp_path: Path) -> None:
     path = write_split(tmp_path, "1-convex")
-    record = json.loads(path.read_text())
+    record = read_json(path)
     first, second, _ = record["instances"]
     first["geometry"], second["geometry"] = second["geometry"], first["geometry"]
     path.write_text(json.dumps(record))
@@ -82,9 +82,8 @@ def test_what_there_is_not_is_an_error(tmp_path: Path) -> None:
         load_split("tset", "convex")
     with pytest.raises(FieldError):
         load_split("test", "1-convex", tmp_path)
-    for changed, place in (({"version": 2}, "version"), ({"split": "validation"}, "file")):
-        write_split(tmp_path, "1-convex", **changed)
-        assert places_of(lambda: load_split("test", "1-convex", tmp_path)) == [place]
+    write_split(tmp_path, "1-convex", version=2)
+    assert places_of(lambda: load_split("test", "1-convex", tmp_path)) == ["version"]
 
 
 @pytest.mark.slow

@@ -14,8 +14,8 @@ from mbn_marl import centralized_env, parallel_env
 from mbn_marl import env as aec_env
 from mbn_marl.adapters.gymnasium import CentralizedVectorEnv
 from mbn_marl.errors import ConfigError
-from mbn_marl.render import Viewer, style
-from tests.support.pictures import SIZE, draw, snapshot, where
+from mbn_marl.render import Viewer
+from tests.support.pictures import SIZE, draw, snapshot
 
 pygame = pytest.importorskip("pygame", reason="needs the extra [render]")
 
@@ -77,11 +77,6 @@ def test_size_of_an_environments_pictures_is_an_argument(
     shown = pygame.display.get_window_size() if frame is None else frame.shape[1::-1]
     env.close()
     assert tuple(shown) == size.get("render_size", (800, 800))
-
-
-def test_field_keeps_its_shape_in_a_picture_of_another() -> None:
-    rows, columns = where(draw(snapshot(), Viewer("rgb_array", (700, 300))), style.GROUND)
-    assert np.ptp(rows) == pytest.approx(np.ptp(columns), abs=2)
 
 
 @pytest.fixture

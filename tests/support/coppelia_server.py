@@ -64,7 +64,6 @@ class Thing:
     place: np.ndarray = field(default_factory=lambda: np.zeros(3))
     parent: int = -1
     size: Sequence[float] = ()
-    turn: float = 0.0
     colour: tuple[float, ...] | None = None
     opacity: float = 1.0
     flags: dict[str, int] = field(default_factory=dict)
@@ -86,7 +85,6 @@ class CoppeliaServer:
         things: the objects in the scene, by their handles.
         drawings: the items of the drawing objects, by their handles.
         steps: simulated since the last start.
-        calls: the functions called, in order.
         answer: to every request, in place of the right one.
         silent: no request is answered any more.
         endless: a step never comes to its end.
@@ -107,7 +105,6 @@ class CoppeliaServer:
         self.clients: dict[str, Client] = {}
         self.things: dict[int, Thing] = {1: Thing("Floor")}
         self.drawings: dict[int, list[list[float]]] = {}
-        self.calls: list[str] = []
         self.state, self.steps = STOPPED, 0
         self.answer = b""
         self.silent = self.endless = False
@@ -162,7 +159,6 @@ class CoppeliaServer:
             return {"ret": [offered | {one: {"const": CONSTANTS[one]} for one in CONSTANTS}]}
         if name == "_*executed*_":
             return self._wait(client)
-        self.calls.append(name)
         if name == "step":
             client.waits = 2
             return self._wait(client)
@@ -284,7 +280,8 @@ class CoppeliaServer:
         thing.place = place
 
     def setObjectOrientation(self, handle: int, angles: object) -> None:
-        self._thing(handle).turn = float(floats(angles, 3)[2])
+        self._thing(handle)
+        floats(angles, 3)
 
     def setShapeColor(self, handle: int, name: str, component: int, colour: object) -> None:
         refuse(name or component not in (0, 4), "wrong name or component")

@@ -41,8 +41,6 @@ def test_the_command_compares_and_writes(
     assert figure.read_bytes().startswith(b"\x89PNG")
     assert main(command) == 2
     assert "already exists" in capsys.readouterr().err
-    assert main([*command, "--force"]) == 0
-    assert json.loads((tmp_path / "numbers.json.1").read_text())["deployments"] == rows
 
 
 def test_the_command_sweeps_the_wind(small_file: str, tmp_path: Path) -> None:
@@ -64,12 +62,9 @@ def test_the_command_sweeps_the_wind(small_file: str, tmp_path: Path) -> None:
     ("options", "place"),
     [
         ("greedy", "field: greedy"),
-        ("zoo --field nowhere", "nowhere"),
         ("zoo:field_03 --sim plane --compare", "compare: "),
-        ("zoo:field_03 --sim plane --video x.mp4", "video: "),
         ("zoo:field_03 --sim coppeliasim --vehicle balancer", "vehicle: "),
         ("zoo:field_03 --figure x.png", "figure: "),
-        ("zoo:field_03 --metres-per-unit 0", "metres: "),
         ("zoo:field_03 --video x.avi", "video: x.avi"),
         ("zoo:field_03 --condition windy --wind-speeds 0.1", "windy"),
     ],

@@ -43,7 +43,6 @@ def test_unknown_command_is_answered_with_a_known_one(refusal: Refusal) -> None:
         (missing("optuna"), 2, ["'optuna'", ".[baselines]"]),
         (missing("ray.tune"), 2, ["'ray.tune'", ".[ray]"]),
         (FileNotFoundError(2, "gone", "a.yaml"), 2, ["a.yaml: gone"]),
-        (BrokenPipeError(32, "Broken pipe"), 2, ["Broken pipe"]),
     ],
 )
 def test_command_ends_with_a_code_and_a_line(

@@ -63,25 +63,6 @@ def test_a_comparison_by_hand(tmp_path: Path) -> None:
     assert (share[0.2], share[0.3], share[0.45]) == (0.75, 0.5, 0.25)
 
 
-def test_the_threshold_is_reached_at_the_first_evaluation_that_has_it(tmp_path: Path) -> None:
-    # 100 000 at evaluation 2 of the first run and 4 of the second: the mean of 200 and 400.
-    histories = [(0.0, 100_000.0, 5.0), (0.0, 99_999.0, 0.0, 120_000.0), (0.0,)]
-    summary = {"return_mean": 0.0, "success_rate": 0.0, "makespan": None}
-    final = {"env_steps": 400, "seconds": 1.0, "stochastic": summary, "deterministic": summary}
-    runs = []
-    for seed, returns in enumerate(histories):
-        numbers = enumerate(returns, start=1)
-        history = [
-            {"env_steps": 100 * k, "seconds": 2.0 * k, "return_mean": mean} for k, mean in numbers
-        ]
-        runs.append(make_run(tmp_path, seed=seed, recorded=(history, final)))
-    (row,) = summarise(Results.of(runs)).rows
-    names = ("reached", "seeds", "env_steps_to_threshold", "seconds_to_threshold", "makespan")
-    assert [row[name] for name in names] == [2, 3, 300.0, 6.0, None]
-    (row,) = summarise(Results.of([make_run(tmp_path, seed=9)])).rows
-    assert [row[name] for name in names[:4]] == [0, 1, None, None]
-
-
 def test_tables_and_files_hold_the_numbers(tmp_path: Path) -> None:
     (tmp_path / "runs").mkdir()
     for seed, share in enumerate((1.0, 0.5)):

@@ -6,15 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from baselines.compare import curves
 from baselines.compare import summary as stratified
-from baselines.compare.curves import Panel
 from baselines.compare.summary import Estimate
 from mbn_marl.errors import MbnError
-from mbn_marl.render import style
 
 
 def test_the_interquartile_mean_cuts_a_quarter_at_both_ends() -> None:
@@ -41,13 +38,6 @@ def test_an_interval_by_hand() -> None:
     assert (low, high) == pytest.approx((1 / 6, 5 / 6))
 
 
-def test_one_seed_has_no_interval() -> None:
-    scores = np.array([[0.2], [0.4]])
-    assert stratified.interquartile_mean(scores) == pytest.approx((0.3, None, None))
-    assert stratified.probability_of_improvement(scores, scores) == Estimate(0.5, None, None)
-    assert stratified.performance_profile(scores, np.array([0.3])).share.tolist() == [0.5]
-
-
 def test_the_probability_of_improvement_compares_within_each_field() -> None:
     # Field 0: ours win 3 of 4 pairs and tie the other; field 1: they lose all.
     ours, theirs = np.array([[2.0, 5.0], [10.0, 10.0]]), np.array([[1.0, 2.0], [99.0, 99.0]])
@@ -69,10 +59,6 @@ def test_the_performance_profile_counts_runs_above() -> None:
     assert (profile.low[0], profile.high[0]) == (1.0, 1.0)
 
 
-def labels_of(figure: Figure) -> list[str]:
-    return [text.get_text() for text in figure.legends[0].get_texts()]
-
-
 def run(steps: Any, returns: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.array(steps, np.float64), np.array(returns, np.float64)
 
@@ -87,21 +73,3 @@ def test_mean_and_band_by_hand() -> None:
     assert high.tolist() == [20.0, 25.0, 30.0, 30.0]
     with pytest.raises(MbnError, match="a: "):
         curves.mean_and_band("a", [run([0, 1], [0, 1]), run([2, 3], [0, 1])])
-
-
-def test_panels_have_common_axes_and_one_legend() -> None:
-    panels = {
-        "one": Panel({"b": [run([0, 10], [0, 9])]}, 20.0),
-        "two": Panel({"a": [run([0, 30], [0, 5]), run([0, 30], [5, 5])]}, None),
-        "three": Panel({"b": [run([0, 10], [0, 9])]}, None),
-    }
-    figure = curves.learning_curves(panels, {"a": 3, "b": 5, "c": 7}, "return", 10.0)
-    shown = [axes for axes in figure.axes if axes.get_visible()]
-    assert len({(axes.get_xlim(), axes.get_ylim()) for axes in shown}) == 1
-    first, second, third = shown
-    assert first.lines[0].get_color() == third.lines[0].get_color() == style.series(5).colour
-    assert second.lines[0].get_color() == style.series(3).colour
-    assert [len(axes.collections) for axes in shown] == [0, 1, 0], "a band for two seeds"
-    assert [len(axes.lines) for axes in shown] == [3, 2, 2], "curve, threshold, optimum"
-    assert second.lines[0].get_ydata().tolist() == [2.5, 5.0]
-    assert labels_of(figure) == ["a", "b", "threshold 10", "proved optimum"]

@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 
 from baselines.cli import main
-from baselines.evaluation.evaluate import evaluate
+from baselines.evaluation.evaluate import evaluate, is_one_episode
+from baselines.evaluation.rollout import record_episode
 from baselines.policies.classical import make_classical
-from mbn_marl import BatchEngine
-from mbn_marl.config import Failures
+from baselines.policies.policy import Origin, Policy, RandomPolicy
+from baselines.policies.shielded import Shielded
+from mbn_marl import BatchEngine, Field, load_field
+from mbn_marl.config import Failures, make_config
 from mbn_marl.episode import check_episode, load_episode
-from mbn_marl.field import load_field
-from mbn_marl.planning import plan
+from mbn_marl.errors import ConfigError
+from tests.baselines.conftest import Refusal
 
 pytestmark = pytest.mark.slow
 FIELD = load_field("field_03")
@@ -52,16 +55,6 @@ def test_a_policy_finds_out_what_each_of_its_worlds_is_like(
     assert [engine.snapshot().success for engine in engines] == [True] * len(worlds)
 
 
-def test_replan_does_what_plan_does_while_nothing_disturbs_it() -> None:
-    found, engine = plan("field_06"), BatchEngine("field_06", 1, autoreset="disabled", threads=1)
-    policy = make_classical("replan", found.field, {})
-    engine.reset()
-    for actions in found.actions:
-        np.testing.assert_array_equal(policy.act(engine.state(), deterministic=True)[0], actions)
-        engine.step(actions[None])
-    assert engine.snapshot().success
-
-
 def test_mbn_plan_prints_draws_and_saves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -72,14 +65,10 @@ def test_mbn_plan_prints_draws_and_saves(
     saved = json.loads((out / "plan.json").read_text())
     assert (saved["makespan"], saved["optimal"], saved["return"]) == (17, True, 159_490.0)
     assert (out / "plan.png").read_bytes()[:4] == b"\x89PNG"
-    visits = ", ".join(f"w{roi + 1}" for roi in saved["assignment"][0])
-    assert visits in printed, "numbered as in the picture"
     episode = load_episode(out / "episode.json")
     check_episode(episode)
     assert (episode.source, episode.outcome) == ("plan, proved optimal", "success")
     assert (episode.steps, episode.team_return) == (17, 159_490.0)
-    with np.load(out / "plan.npz") as arrays:
-        assert arrays["actions"].shape == (17, 3, 2)
     before = sorted(tmp_path.iterdir())
     assert main(["plan", "field_03", "-o", str(out)]) == 2
     assert str(out) in capsys.readouterr().err
@@ -101,3 +90,94 @@ def test_mbn_evaluate_takes_classical_policies(
     assert result["optimality_gap"] == {"stochastic": 0.0, "deterministic": 0.0}
     assert main(["evaluate", "greedy"]) == 2
     assert "field" in capsys.readouterr().err
+
+
+LEFT, RIGHT = [(100, 250), (100, 100), (200, 100)], [(300, 100), (300, 250)]
+SLOT = Field(  # a rectangle with a wall into its middle
+    [*LEFT, (200, 160), (204, 160), (204, 100), *RIGHT],
+    [(250, 120), (290, 240)],
+    [(150, 120), (150, 140), (150, 160), (250, 140)],
+)
+YARD = Field(  # with a hole
+    [(100, 100), (300, 130), (280, 300), (120, 280)],
+    [(270, 280), (200, 150)],
+    [(130, 140), (150, 150), (130, 170)],
+    holes=[[(190, 180), (230, 190), (210, 230)]],
+)
+FAILURES: dict[str, Any] = {"failures": Failures(at={1: 30})}
+
+
+class Pusher(Policy):
+    observes = "state"
+
+    def __init__(self, field: Field) -> None:
+        self.steps, self.robots = 0, len(field.starts)
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        n, self.steps = self.robots, self.steps + 1
+        places = seen[:, : 2 * n].reshape(-1, n, 2)
+        turn = self.steps // 40
+        if turn % 2:
+            inward = places.mean(axis=1, keepdims=True) - places
+            return np.sign(inward).astype(np.float32)
+        angle = 2.4 * turn + (0.0 if deterministic else 0.5)
+        force = 2.0 * np.array([np.cos(angle), np.sin(angle)], np.float32)
+        return np.broadcast_to(force, places.shape)
+
+
+@pytest.mark.parametrize(
+    ("field", "settings"),
+    [(SLOT, {}), (YARD, {"wind": (0.2, 200.0)}), (YARD, FAILURES)],
+    ids=["slot", "windy", "failing"],
+)
+def test_a_team_that_pushes_against_walls_and_robots_does_not_touch_them(
+    field: Field, settings: dict[str, Any]
+) -> None:
+    world = {**settings, "max_steps": 300}
+    bare = evaluate(Pusher(field), field, world, episodes=2)
+    assert any(bare.collisions) and any(bare.wall_hits)
+    shielded = evaluate(Shielded(Pusher(field)), field, world, episodes=2)
+    assert not any(shielded.collisions) and not any(shielded.wall_hits)
+    assert min(shielded.steps) > max(bare.steps)
+
+
+def test_a_policy_that_brakes_itself_acts_as_without() -> None:
+    field = load_field("field_03")
+    alone = record_episode(make_classical("greedy", field, {}), field, {})
+    policy = Shielded(make_classical("greedy", field, {}))
+    np.testing.assert_array_equal(record_episode(policy, field, {}).actions, alone.actions)
+    assert is_one_episode(policy, {}, deterministic=False)
+    assert not is_one_episode(Shielded(RandomPolicy()), {}, deterministic=True)
+
+
+class Trained(Policy):
+    origin = Origin(YARD, make_config({}))
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        self.seen = seen
+        return np.full((len(seen), 3, 2), 0.1, np.float32)
+
+
+def test_a_trained_policy_is_fitted_behind_the_shield() -> None:
+    policy, engine = Trained(), BatchEngine(YARD, 2, threads=1, **FAILURES)
+    shown = engine.reset()
+    actions = Shielded(policy).fit(engine).act_in(engine, shown)
+    np.testing.assert_array_equal(actions, policy.act(policy.seen, deterministic=True))
+    assert shown.shape[-1] - policy.seen.shape[-1] == 3, "without the flags of failures"
+    with pytest.raises(ConfigError, match="robots: "):
+        Shielded(policy).fit(BatchEngine(YARD, 1, threads=1, n_robots=2))
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal: Refusal) -> None:
+    words = ["evaluate", "random", "--field", "field_03", "--episodes", "2", "--shield"]
+    out = tmp_path / "out.json"
+    assert main([*words, "--json", str(out)]) == 0
+    assert "random in field_03 + shield" in capsys.readouterr().out
+    found = json.loads(out.read_text())
+    assert found["shield"] is True
+    assert found["stochastic"]["collision_rate"] == 0.0
+    assert evaluate(RandomPolicy(), "field_03", {}, episodes=2).collisions == [True, True]
+    engine = BatchEngine("field_03", 1, threads=1, dynamics=("unicycle", "point_mass", "bicycle"))
+    with pytest.raises(ConfigError, match="dynamics: 'bicycle', 'unicycle'"):
+        Shielded(RandomPolicy()).fit(engine)
+    assert "dynamics: " in refusal([*words, "--condition", "mixed"])

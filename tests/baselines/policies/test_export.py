@@ -84,9 +84,6 @@ def test_what_cannot_be_exported_is_named(
     (tmp_path / "taken.onnx").touch()
     for words, place in (
         ("greedy -o policy.onnx", "greedy: "),
-        ("zoo -o policy.onnx", "zoo: "),
-        ("module:own -o policy.onnx", "module:own: "),
-        ("gredy -o policy.onnx", "gredy"),
         ("zoo:generalist -o policy.onnx", "field: "),
         ("zoo:field_07 -o policy.pt2", "policy.pt2: "),
         ("zoo:field_07 -o taken.onnx", "taken.onnx"),

@@ -233,6 +233,7 @@ EDITS: list[tuple[str, str, Callable[[Any], Any]]] = [
     ("tqc", "replay.npz", with_entry("pos", np.array(10**9))),
     ("tqc", "counters.json", with_entry("num_timesteps", "x")),
     ("mappo", "counters.json", with_entry("curriculum", {"first": "x"})),
+    ("mappo", "counters.json", lambda a: [a]),
     ("mappo", "counters.json", with_entry("env_steps", -1)),
     ("mappo", "recorder.json", with_entry("progress_bytes", -5)),
     ("ppo", "recorder.json", lambda a: [a]),

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import re
-import subprocess
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,18 +11,16 @@ import pytest
 import yaml
 
 from baselines.cli import main
-from baselines.runs.files import RunError, alone, read_json
+from baselines.runs.files import RunError, alone
 from baselines.runs.folder import RunFolder
 from baselines.sweep import run as sweep
 from baselines.sweep.processes import Failure, LocalEngine
-from baselines.sweep.run import TrainJob, check_outcomes, train_in_store
+from baselines.sweep.run import TrainJob, train_in_store
 from baselines.sweep.spec import runs_of
-from baselines.training.train import train
 from mbn_marl.errors import ConfigError
 from tests.support.dying import die_once
 from tests.support.grids import BUDGET, TINY, run_here, spec_of
 from tests.support.runs import recorded, same_policies
-from tests.support.terminal import MBN
 
 pytestmark = pytest.mark.slow
 
@@ -57,39 +52,6 @@ def test_runs_are_those_of_mbn_train_and_are_made_once(
     changed = spec_of(store, **changes, budget={**BUDGET, "episodes": 2})
     with pytest.raises(ConfigError, match=r"a2c-A-.*: episodes: "):
         run_here(changed)
-
-
-@pytest.mark.all
-def test_a_grid_resumes_after_kill_9(tmp_path: Path) -> None:
-    path, store = tmp_path / "grid.yaml", tmp_path / "runs"
-    long = {**BUDGET, "steps": 4000, "evaluate_every": 1000}
-    path.write_text(yaml.safe_dump({"store": str(store), **TINY, "budget": long}))
-    (run,) = runs_of(spec_of(store, budget=long))
-    folder = RunFolder(store / run.name)
-    words = [*MBN, "grid", str(path), "--processes", "1"]
-    process = subprocess.Popen(words)
-    while folder.checkpoint is None:
-        assert process.poll() is None, "the run was over before it could be killed"
-        time.sleep(0.01)
-    process.kill()
-    process.wait()
-    assert not folder.finished
-    assert "000 of 4,000 env-steps" in folder.state
-    assert main(words[3:]) == 0
-    assert [entry["env_steps"] > 0 for entry in read_json(folder.path / "resumed.json")] == [True]
-    whole = train(run, tmp_path / "whole")
-    assert recorded(folder) == recorded(whole) and same_policies(folder, whole)
-
-
-def test_a_run_that_diverges_stops_no_other(tmp_path: Path) -> None:
-    wild = {"model.learning_rate": [1e30, 1e-4], "model.max_grad_norm": [1e30]}
-    spec = spec_of(tmp_path, set=wild, budget={**BUDGET, "steps": 100})
-    bad, good = (run.name for run in runs_of(spec))
-    outcomes = run_here(spec)
-    assert [outcomes[name].state for name in (bad, good)] == ["diverged", "done"]
-    with pytest.raises(RunError, match=re.escape(bad)):
-        check_outcomes(outcomes.values(), tmp_path)
-    assert run_here(spec).keys() == {bad}, "only a run that failed is repeated"
 
 
 def test_a_run_that_another_process_trains_is_left_to_it(

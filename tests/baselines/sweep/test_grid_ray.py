@@ -20,7 +20,6 @@ from baselines.runs.folder import RunFolder
 from baselines.sweep.processes import LocalEngine
 from baselines.sweep.run import train_runs
 from baselines.sweep.spec import read_spec, runs_of
-from baselines.tuning.tune import load_study
 from tests.support.runs import recorded, same_policies
 from tests.support.terminal import MBN
 
@@ -111,19 +110,6 @@ def test_a_grid_survives_the_loss_of_a_node(cluster: Any, tmp_path: Path) -> Non
         ours, theirs = RunFolder(store / name), RunFolder(here.parent / "runs" / name)
         assert recorded(ours) == recorded(theirs), name
         assert same_policies(ours, theirs), name
-
-
-def test_workers_share_a_study(cluster: Any, tmp_path: Path) -> None:
-    out = tmp_path / "study"
-    tiny = ["--field", "field_03", "--steps", "20", "--evaluate-every", "20", "--episodes", "1"]
-    words = ["tune", "a2c", *tiny, "--out", str(out), "--engine", "ray"]
-    words += ["--address", cluster.address]
-    assert main([*words, "--trials", "4"]) == 0
-    trials = load_study(out).get_trials()
-    assert [trial.state.name for trial in trials] == ["COMPLETE"] * 4
-    assert len({trial.params["learning_rate"] for trial in trials}) == 4
-    assert main([*words, "--trials", "5", "--resume"]) == 0
-    assert len(load_study(out).get_trials()) == 5
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:9", "nonsense"])

@@ -51,12 +51,6 @@ def test_axes_multiply_and_name_the_runs() -> None:
     assert run.shown_as == "a2c-A-2robots-gamma0.9"
 
 
-def test_setting_c_brings_the_run_it_begins_with() -> None:
-    assert names_of(settings=["C"]) == ["a2c-A-field_01-seed0", "a2c-C-field_03-seed0"]
-    both = names_of(settings=["A", "C"], fields=["field_01", "field_03"])
-    assert len(both) == 4 and both[:2] == ["a2c-A-field_01-seed0", "a2c-A-field_03-seed0"]
-
-
 def test_wrong_values_are_refused_by_place_and_nothing_is_made(
     tmp_path: Path, refusal: Refusal
 ) -> None:
@@ -68,10 +62,8 @@ def test_wrong_values_are_refused_by_place_and_nothing_is_made(
         ({"algorithms": ["sac"]}, "algorithms.0: sac"),
         ({"algorithms": ["mappo"]}, "settings: mappo"),
         ({"settings": ["C"], "fields": ["two.yaml"]}, "two.yaml: robots"),
-        ({"robots": [2, 9]}, "n_robots: 9"),
         ({"set": {"model.gamma": [2]}}, "model.gamma: "),
         ({"robots": [2], "set": {"environment.n_robots": [3]}}, "set: environment.n_robots"),
-        ({"budget": {"steps": 0}}, "budget.steps: "),
         ({"resources": {"retries": -1}}, "resources.retries: "),
     ]
     for changes, place in cases:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,18 +13,21 @@ import torch
 from tensordict import TensorDict
 
 from baselines import load_policy
-from baselines.algorithms import find_algorithm
+from baselines.algorithms import Setting, find_algorithm
+from baselines.evaluation.evaluate import evaluate, unseen
 from baselines.torchrl import trainer
 from baselines.torchrl.config import load
+from baselines.torchrl.entities import SetActor, SetCritic, Tokens
 from baselines.torchrl.networks import Key
-from baselines.torchrl.trainer import Teacher
-from baselines.training import aids
+from baselines.torchrl.trainer import Teacher, Trainer
 from baselines.training.config import TrainConfig
 from baselines.training.train import prepare, train
 from mbn_marl.adapters.torchrl import NavigationEnv
-from mbn_marl.errors import ConfigError
-from mbn_marl.field import FieldSampler
-from tests.support.runs import interrupted, recorded, same_policies
+from mbn_marl.engine import BatchEngine
+from mbn_marl.errors import ConfigError, MbnError
+from mbn_marl.field import FieldSampler, load_fields
+from tests.baselines.conftest import Refusal
+from tests.support.runs import interrupted, recorded, same_policies, small_config
 
 pytestmark = pytest.mark.slow
 
@@ -46,27 +50,6 @@ def test_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
 
 
 SMALL = {"num_worlds": 4, "rollout_steps": 32, "hidden": [8], "action_repeat": [1, 1]}
-
-
-def test_training_has_its_own_rois_and_time_limit_and_evaluations_the_true_ones(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made = []
-
-    class Watched(NavigationEnv):
-        def __init__(self, *args: Any, **settings: Any) -> None:
-            super().__init__(*args, **settings)
-            config, fields = self.engine.config, self.engine.fields
-            made.append((config.roi_radius, config.max_steps, len(fields)))
-
-    monkeypatch.setattr(trainer, "NavigationEnv", Watched)
-    monkeypatch.setattr(aids, "STAGES", 2)
-    monkeypatch.setattr(aids, "SUCCESS", (0.0, 0.0))  # whatever the team does is enough
-    changes = {**SMALL, "roi_radius": 16.0, "scattered": 0.25, "episode_steps": 32}
-    config = TrainConfig("mappo", "field_03", steps=384, episodes=2, hyperparameters=changes)
-    run = train(config, tmp_path / "run")
-    assert made == [(160.0, 32, 4), (40.0, 32, 4), (10.0, 32, 1)]
-    assert max(run.evaluation["deterministic"]["per_episode"]["steps"]) > 32
 
 
 @pytest.mark.parametrize("algorithm", ["mappo", "ppo-joint"])
@@ -200,3 +183,194 @@ def test_teacher_that_does_not_fit_is_refused_with_all_else(source: str, named: 
         find_algorithm("mappo").check(task, hyperparameters)
     first, second = caught.value.problems
     assert first.startswith("scattered: ") and named in second
+
+
+SEEN: dict[str, Any] = {"observation": "entities", "assignment": True}
+TEAMS = FieldSampler(robots=(2, 4), rois=(3, 5), seed=7)
+WORLDS = 24
+OF_RAYS = {"x": lambda k: (4 - k) % 8, "y": lambda k: -k % 8, "swap": lambda k: (2 - k) % 8}
+
+
+class Scene:
+    def __init__(self, *, assignment: bool) -> None:
+        engine = BatchEngine(TEAMS, 1, **{**SEEN, "assignment": assignment})
+        self.names = names = [entry.name for entry in engine.observation_table]
+        self.tokens = Tokens.of(engine.observation_table)
+        self.rows = rows = 0.9 * torch.rand((WORLDS, 4, len(names)), generator=torch.manual_seed(1))
+        for k, name in enumerate(names):
+            if f"{name[:-1]}x" in names:
+                rows[..., k] = 2.0 * rows[..., k] - 0.9
+            if name.endswith(("_present", "_left")):
+                rows[..., k] = 1.0
+        robots = 2 + torch.arange(WORLDS)[:, None] % 3
+        absent = {f"other_{k}_": (robots <= k).expand(WORLDS, 4) for k in (1, 2, 3)}
+        for roi in (1, 2, 4):  # which some robots have left behind
+            chance = torch.rand(WORLDS, 4, generator=torch.manual_seed(roi))
+            absent[f"roi_{roi}_"] = chance < 0.3
+        absent[""] = torch.arange(4) >= robots
+        for start, where in absent.items():
+            for k in (k for k, name in enumerate(names) if name.startswith(start)):
+                rows[..., k][where] = 0.0
+        torch.manual_seed(0)
+        self.actor = SetActor(self.tokens, (8, 12))
+        self.critic = SetCritic(self.tokens, (8, 12), central=True)
+        torch.nn.init.normal_(self.actor.head.weight)
+
+    def mirrored(self, how: str) -> torch.Tensor:
+        rows = self.rows.clone()
+        for k, name in enumerate(self.names):
+            other = f"{name[:-1]}{'x' if name.endswith('y') else 'y'}"
+            if name[-1] in "xy" and other in self.names:
+                if how == "swap":
+                    rows[..., k] = self.rows[..., self.names.index(other)]
+                elif name.endswith(how):
+                    rows[..., k] *= -1
+            if name.startswith("ray_"):
+                before = self.names.index(f"ray_{OF_RAYS[how](int(name[4:]))}")
+                rows[..., k] = self.rows[..., before]
+        return rows
+
+
+@pytest.fixture(scope="module", params=[True, False])
+def scene(request: pytest.FixtureRequest) -> Scene:
+    return Scene(assignment=request.param)
+
+
+@pytest.mark.parametrize("how", ["x", "y", "swap"])
+@torch.no_grad()
+def test_in_a_mirrored_field_robots_do_the_mirrored_thing(scene: Scene, how: str) -> None:
+    actions, rows = scene.actor(scene.rows), scene.mirrored(how)
+    assert not torch.equal(rows, scene.rows) and actions.abs().mean() > 0.1
+    signs = {"x": [-1.0, 1.0], "y": [1.0, -1.0], "swap": [1.0, 1.0]}[how]
+    expected = (actions.flip(-1) if how == "swap" else actions) * torch.tensor(signs)
+    torch.testing.assert_close(scene.actor(rows), expected)
+    torch.testing.assert_close(scene.critic(rows), scene.critic(scene.rows))
+
+
+@pytest.mark.parametrize("kinds", [("roi_0_", "roi_3_"), ("other_1_", "other_3_")])
+@torch.no_grad()
+def test_the_order_of_tokens_does_not_matter(scene: Scene, kinds: tuple[str, str]) -> None:
+    places = [[k for k, n in enumerate(scene.names) if n.startswith(kind)] for kind in kinds]
+    rows = scene.rows.clone()
+    rows[..., places[0] + places[1]] = scene.rows[..., places[1] + places[0]]
+    assert not torch.equal(rows, scene.rows)
+    torch.testing.assert_close(scene.actor(rows), scene.actor(scene.rows))
+
+
+@torch.no_grad()
+def test_absent_robots_do_nothing_and_count_for_nothing(scene: Scene) -> None:
+    there = scene.rows.any(-1)
+    counts = there.sum(1)
+    assert {2, 3, 4} == {*counts.tolist()}
+    actions, values = scene.actor(scene.rows), scene.critic(scene.rows)
+    assert (actions.any(-1) == there).all() and (values.squeeze(-1)[~there] == 0).all()
+    world = int((counts == 2).nonzero()[0])  # its rows without the room for others
+    width = len(scene.tokens.robot)
+    own, rest = scene.rows[world, :2].split(
+        [len(scene.tokens.own), len(scene.names) - len(scene.tokens.own)], 1
+    )
+    small = torch.cat([own, rest[:, :width], rest[:, 3 * width :]], 1)
+    torch.testing.assert_close(scene.actor(small), actions[world, :2])
+    torch.testing.assert_close(scene.critic(small), values[world, :2])
+
+
+def test_a_policy_of_random_fields_goes_anywhere_but_wants_a_field(
+    tmp_path: Path, refusal: Refusal
+) -> None:
+    small = small_config("mappo", "G")
+    changes = {**small.hyperparameters, "scattered": 0.0, "roi_radius": 1.0}
+    where: dict[str, Any] = {"field": "random_convex", "environment": {**SEEN, "max_steps": 50}}
+    run = train(replace(small, hyperparameters=changes, **where), tmp_path / "run")
+    fields = load_fields("random_convex")
+    assert run.fields == fields and isinstance(fields, FieldSampler)
+    with pytest.raises(MbnError):
+        _ = run.field
+    free = load_policy(run.path)
+    assert free.field is None and free.settings["observation"] == "entities"
+    policy = load_policy(run.path, "field_10")
+    size = BatchEngine("field_10", 1, **policy.settings).obs_size
+    seen = np.random.default_rng(0).uniform(-0.9, 0.9, (2, 3, size)).astype(np.float32)
+    actions = policy.act(seen)
+    assert actions.shape == (2, 3, 2)
+    np.testing.assert_array_equal(free.act(seen), actions)
+    whole = evaluate(free, unseen(fields, 5), free.settings, episodes=3)
+    assert len(whole.returns) == 3
+    with pytest.raises(ConfigError, match="assignment"):
+        load_policy(run.path, "field_03", assignment=False)
+    assert "field: " in refusal(["evaluate", str(run.path)])
+    assert str(run.path) in refusal(["render", str(run.path), "-o", "x.gif"])
+
+
+@pytest.mark.parametrize(
+    ("setting", "source", "gain"),
+    [("G", "zoo:generalist", 3.0), ("N", "zoo:field_03", 1.0)],
+)
+def test_a_run_begins_with_the_network_of_another_one_and_ends_with_its_gain(
+    setting: Setting, source: str, gain: float, tmp_path: Path
+) -> None:
+    small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
+    still = {**small, "learning_rate": (1e-9, 1e-9), "log_std_cap": (9.0, 9.0)}
+    begins = {"steps": 16, "episodes": 1, "transferred_from": Path(source)}
+    tuned = train(
+        TrainConfig("mappo", "field_03", setting, hyperparameters=still, **begins),
+        tmp_path / "tuned",
+    )
+    first, second = (load_policy(str(p)).policy.network for p in (source, tuned.path))
+    tuned_to = dict(second.named_parameters())
+    for name, values in first.named_parameters():
+        expected = gain * values if name.startswith("mean.head") else values
+        torch.testing.assert_close(tuned_to[name], expected, atol=1e-6, rtol=0.0)
+    assert f"--from {source}" in tuned.command
+
+
+OTHER = {"hidden": (8, 8), "sharing": "none", "network": "mlp"}
+NAMED = [f"hyperparameters.{name}" for name in ("network", "hidden", "sharing")]
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "field", "setting", "changes", "named"),
+    [
+        ("mappo", "random_convex", "G", {"scattered": 0.5}, ["scattered"]),
+        ("mappo", "field_03", "N", {"shaping": 0.1}, ["shaping"]),
+        ("mappo", "field_03", "G", {"sharing": "none", "hidden": [64]}, ["sharing", "hidden"]),
+        ("ppo-joint", "field_03", "N", {"network": "entities", "sharing": "full"}, ["actor"]),
+        ("mappo", "random_convex", "N", {}, ["field"]),
+        ("ppo", "random_convex", "N", {}, ["field"]),
+        ("mappo", "field_03", "G", OTHER, ["observation", "robots", "ROIs", "arena", *NAMED]),
+    ],
+)
+def test_what_does_not_go_together_is_refused(
+    algorithm: str, field: str, setting: Setting, changes: dict[str, Any], named: list[str]
+) -> None:
+    source = Path("zoo:generalist") if changes is OTHER else None
+    config = TrainConfig(
+        algorithm, field, setting, hyperparameters=changes, transferred_from=source
+    )
+    with pytest.raises(ConfigError) as caught:
+        find_algorithm(config.algorithm).check(*prepare(config))
+    assert [problem.partition(":")[0] for problem in caught.value.problems] == named
+
+
+@pytest.mark.parametrize("terminated", [True, False])
+def test_shaping_is_the_discounted_difference_of_the_ways_left(terminated: bool) -> None:
+    def seen(ways: list[float]) -> torch.Tensor:
+        rows = torch.zeros(1, len(ways), 2, 6)
+        rows[0, :, 0, 0] = torch.tensor([way / (way + 100.0) for way in ways])
+        return rows
+
+    trainer = Trainer.__new__(Trainer)
+    trainer.env = SimpleNamespace(n_agents=2)  # type: ignore[assignment]
+    trainer.estimator = SimpleNamespace(gamma=torch.tensor(0.5))  # type: ignore[assignment]
+    trainer.reward = ("next", "robots", "reward")
+    tokens = Tokens(("own_tour", "team_tour"), ("present",), ("left", "away", "others"))
+    ended = torch.tensor([[[False], [False], [terminated]]])
+    after = {"robots": {"observation": seen([200, 100, 60]), "reward": torch.zeros(1, 3, 2, 1)}}
+    rollout = TensorDict(
+        {"robots": {"observation": seen([300, 200, 100])}, "next": {**after, "terminated": ended}},
+        (1, 3),
+    )
+    # 300 - 200 / 2, 200 - 100 / 2, and 100 - 60 / 2 if the episode was only cut off.
+    first = torch.tensor([200.0, 150.0, 100.0 if terminated else 70.0])
+    found = trainer._shaped(rollout, tokens)
+    torch.testing.assert_close(found[0, :, 0, 0], first)
+    assert found.shape == (1, 3, 2, 1) and not found[0, :, 1].any()

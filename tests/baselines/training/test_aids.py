@@ -36,16 +36,6 @@ def test_budget_is_rounded_up_to_rollouts_that_become_shorter() -> None:
     assert TrainingAids(action_repeat=(3, 3)).rounded_up(100, 10) == 120
 
 
-def test_training_without_aids_has_the_environments_own_settings() -> None:
-    task = task_of(max_steps=300, roi_radius=8.0, one_hot=True)
-    own = {"field": FIELD, "max_steps": 300, "roi_radius": 8.0, "one_hot": True}
-    small, large = (RoiCurriculum(first, window=4) for first in (1.0, 2.5))
-    assert TrainingAids().in_training(task, small, 4) == own
-    shorter = TrainingAids(episode_steps=256).in_training(task, large, 4)
-    assert shorter == {**own, "max_steps": 256, "roi_radius": 20.0}
-    assert TrainingAids(episode_steps=500, scattered=0.5).in_training(task, small, 4) == own
-
-
 @pytest.mark.parametrize(
     ("failures", "steps", "expected"),
     [

@@ -203,7 +203,6 @@ def test_resumed_run_is_logged_to_the_same_one(
     assert second["resume"] == "allow"
     values = {name: value for one in logged for name, value in one.args[0].items()}
     assert values["evaluation/return_mean"] == run.evaluation["stochastic"]["return_mean"]
-    assert values["training/seconds"] > 0.0
 
 
 @pytest.mark.parametrize("command", ["train ippo field_03", "compare"])

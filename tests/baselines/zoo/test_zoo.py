@@ -14,8 +14,8 @@ from baselines import load_policy
 from baselines.cli import main
 from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both, unseen
 from baselines.policies import load
-from baselines.policies.load import ENTRIES, entry_names, read_card
-from baselines.runs.files import RunError, write_json
+from baselines.policies.load import CARD, ENTRIES, entry_names
+from baselines.runs.files import RunError, read_json, write_json
 from baselines.runs.folder import RunFolder
 from baselines.zoo.make import LARGEST, make_entry
 from mbn_marl.field import FieldSampler, catalogue_names, load_field, save_field
@@ -128,7 +128,7 @@ def test_there_is_an_entry_for_every_field() -> None:
     ],
 )
 def test_a_shipped_entry_does_what_its_card_says(name: str, tmp_path: Path) -> None:
-    card, run = read_card(name), RunFolder.open(ENTRIES / name)
+    card, run = read_json(ENTRIES / name / CARD), RunFolder.open(ENTRIES / name)
     files = [path for path in run.path.rglob("*") if path.is_file()]
     assert sum(path.stat().st_size for path in files) <= LARGEST
     assert {path.suffix for path in files} == {".json", ".safetensors", ".yaml"}
