@@ -15,7 +15,6 @@ PROGRAM = "python -m benchmarks"
 
 SUBJECTS = {
     "speed": ("speed", "Speed", "engine and adapters, against a plain loop and peers"),
-    "conditions": ("conditions", "Conditions", "the zoo and classical policies, every condition"),
     "study": ("studies.learning", "Study", "comparisons of learning, benchmarks/studies/*.yaml"),
     "splits": ("splits", "Splits", "the frozen fields of a benchmark: made, proved, verified"),
     "leaderboard": ("leaderboard", "Leaderboard", "the page of the committed results"),

@@ -11,11 +11,8 @@ import pytest
 
 from benchmarks import speed
 from benchmarks.__main__ import SUBJECTS, main
-from benchmarks.conditions import POLICIES, Conditions
 from benchmarks.report import Findings, Measurement
 from benchmarks.speed import Budget, Case, Speed, Timings, interleaved
-from mbn_marl.config import Condition
-from mbn_marl.errors import ConfigError
 
 TINY = Budget(rounds=2, seconds=0.0, warm_up=3, worlds=10, many_worlds=16, startup=False)
 
@@ -86,31 +83,6 @@ def test_target_is_met(
     assert one.met is met
     if value == math.inf:
         assert one.words() == ("a", "never", "<= 2", "missed", "") and not one.to_json()["value"]
-
-
-@pytest.mark.all
-def test_conditions_are_those_of_the_zoo_and_the_classical_policies() -> None:
-    conditions: tuple[Condition, ...] = ("calm", "failing", "storm")
-    policies = (*POLICIES, "zoo:generalist-hint")
-    asked = Conditions(policies=policies, conditions=conditions, fields=("field_03",), episodes=2)
-    found = asked.measure()
-    for name, rows in found.values["evaluations"].items():
-        assert rows["calm"]["field_03"]["success_rate"] == 1.0, name
-    assert not found.values["evaluations"]["planner"]["failing"]
-    in_storm = {name: rows["storm"] for name, rows in found.values["evaluations"].items()}
-    assert in_storm["zoo-sampled"]["field_03"]["episodes"] == 2
-    assert not in_storm["zoo-sampled"]["field_03"]["deterministic"]
-    assert in_storm["zoo:generalist-hint"]["field_03"]["deterministic"]
-    (success, _) = found.tables.values()
-    assert success.lines[0][:2] == ("calm", "100.0% (100%)")
-
-
-def test_every_unknown_policy_is_named() -> None:
-    asked = Conditions(policies=("greedy", "nobody", "zoo:none"), fields=("field_03",))
-    with pytest.raises(ConfigError) as caught:
-        asked.measure()
-    first, second = caught.value.problems
-    assert "nobody" in first and "none" in second
 
 
 def test_folder_with_every_row_is_written_once(

@@ -62,6 +62,4 @@ def test_a_policy_of_the_zoo_is_taken_to_another_field(
     elsewhere = ["evaluate", "zoo:field_03", "--field"]
     assert main([*elsewhere, "field_04", "--episodes", "1"]) == 0
     assert "zoo:field_03 in field_04" in capsys.readouterr().out
-    speeds = [*elsewhere, "field_04", "--wind-speeds", "0,0.2"]
-    assert "json: needed" in refusal(speeds)
     assert "greedy --field field_03" in refusal(["evaluate", "field_03"])

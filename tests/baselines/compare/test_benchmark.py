@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import re
 import shutil
@@ -21,7 +20,6 @@ from baselines.compare.benchmark import (
     load_protocol,
     load_tiers,
     numbers,
-    result_page,
     result_tables,
     run_benchmark,
     statistics,
@@ -200,19 +198,12 @@ def test_the_shield_is_a_part_of_what_was_asked(tmp_path: Path, greedy: dict[str
         ({"tiers": {"1-convex": {}}}, "1-convex: "),
         ({"versions": {"packages": {"mbn-marl": "0.0.1"}}}, "mbn-marl: "),
         ({"shield": True}, "shield: "),
-        ("stale", "1-convex: statistics"),
     ],
 )
 def test_what_is_not_to_be_resumed_is_named(
     damage: Any, place: str, tmp_path: Path, greedy: dict[str, Any]
 ) -> None:
-    record: Any = copy.deepcopy(greedy)
-    if damage == "stale":
-        record["tiers"]["1-convex"]["mean"]["steps"]["low"] = 0.5
-    elif isinstance(damage, dict):
-        record |= damage
-    else:
-        record = damage
+    record = {**greedy, **damage} if isinstance(damage, dict) else damage
     text = record if isinstance(record, str) else json.dumps(record)
     (tmp_path / "result.json").write_text(text)
     with pytest.raises(RunError, match=place):
@@ -254,7 +245,6 @@ def test_what_does_not_fit_has_no_number_and_says_why(tmp_path: Path) -> None:
     for table in result_tables(found).values():
         assert table.lines[1] == ("2-sizes", *["-"] * (len(table.headings) - 1))
         assert "2-sizes does not fit: convex-3000001: robots" in table.caption
-    assert "Does not fit" in result_page(found, tmp_path)
 
 
 def test_policies_of_your_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -280,17 +270,12 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal
     assert main(words) == 0
     said = capsys.readouterr().out
     assert re.search(r"1-convex +2 +100\.0%", said) and f"written to {out}" in said
-    page = (out / "page.html").read_text()
-    for part in ('data-replay="episodes-1"', "median: convex-3000000", "interquartile means"):
-        assert part in page, part
     assert "already exists" in refusal(words)
-    (out / "episodes" / "1-convex-median.json").unlink()
     with alone(out, "mbn benchmark"):
         assert "another mbn benchmark" in refusal([*words, "--resume"])
     capsys.readouterr()
     assert main([*words, "--resume"]) == 0
     assert re.search(r"1-convex +2 +100\.0%", capsys.readouterr().out)
-    assert "1-convex-median.json" in (out / "page.html").read_text()
     assert main([*words, "--force"]) == 0 and (tmp_path / "out.1" / "result.json").exists()
     assert "force and resume" in refusal([*words, "--force", "--resume"])
     assert "gredy" in refusal(["benchmark", "gredy"])
