@@ -81,10 +81,11 @@ def leaderboard(folder: Path) -> str:
         raise ConfigError(str(folder), problems)
     results = {_row_name(name, record): record for name, record in results.items()}
     parts += [CAPTION, ""]
+    every = {name: record["tiers"].values() for name, record in results.items()}
     whole = {
-        name: summarise([row for one in tiers.values() for row in one["instances"]])
-        for name, record in results.items()
-        if not any(one["misfit"] for one in (tiers := record["tiers"]).values())
+        name: summarise([row for one in tiers for row in one["instances"]])
+        for name, tiers in every.items()
+        if not any(one["misfit"] for one in tiers)
     }
     parts += [_table(whole).markdown("All tiers"), ""] if whole else []
     for tier in protocol.tiers:
@@ -151,10 +152,8 @@ def _problems(record: Any, frozen: Mapping[str, tuple[Instance, ...]]) -> Iterat
             continue
         now = [[one.field.name, *(getattr(one, name) for name in names)] for one in instances]
         try:
-            rows, misfit = tiers[tier]["instances"], tiers[tier]["misfit"]
-            if [[row[name] for name in ("field", *names)] for row in rows] != (
-                [] if misfit else now
-            ):
+            rows, wanted = tiers[tier]["instances"], [] if tiers[tier]["misfit"] else now
+            if [[row[name] for name in ("field", *names)] for row in rows] != wanted:
                 yield f"{tier}: fields or bounds are not those of today; run it again"
             tiers[tier] |= summarise(rows)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
