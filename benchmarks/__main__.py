@@ -20,7 +20,6 @@ SUBJECTS = {
     "leaderboard": ("leaderboard", "Leaderboard", "the page of the committed results"),
     "gpu": ("gpu", "Gpu", "the engine on CUDA"),
 }
-"""For each subject its module, its class, and what it measures."""
 USAGE = "usage: python -m benchmarks SUBJECT [options]    (SUBJECT --help lists the options)\n\n"
 USAGE += "\n".join(f"  {name:<12}{about}" for name, (*_, about) in SUBJECTS.items())
 
@@ -46,7 +45,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def benchmark_class(subject: str) -> Any:
-    """Return the dataclass of a subject; only its own module is loaded."""
     module, name, _ = SUBJECTS[subject]
     return getattr(import_module(f"benchmarks.{module}"), name)
 

@@ -35,7 +35,6 @@ which has no bounds, the steps so counted. Times were measured on different mach
 busy: rows differ by that too.
 """
 COLUMNS = ("success_rate", "makespan", "decision_ms")
-"""Of the tables, after the one that orders them; the others are in the results' files."""
 NO_BREAK = "\N{NO-BREAK SPACE}"
 NOBODY = "No policy has been entered yet."
 
@@ -45,8 +44,7 @@ class Leaderboard:
     """Make the page of the leaderboard of the results in a folder."""
 
     folder: Path = Path("docs/results/leaderboard")
-    """With results of `mbn benchmark`, each under a name of its own, behind the shield NAME-shield;
-    the page is beside it."""
+    """With results of `mbn benchmark`, behind the shield NAME-shield; the page is beside it."""
 
     def run(self, command: str) -> bool:
         page = self.folder.with_suffix(".md")
@@ -56,10 +54,7 @@ class Leaderboard:
 
 
 def leaderboard(folder: Path) -> str:
-    """Return the page of the results in a folder.
-
-    A ConfigError names those that cannot be read, or are not of the whole split by this protocol.
-    """
+    """Return the page; a ConfigError names results that are damaged, or not of the whole split."""
     protocol = load_protocol()
     if not folder.is_dir():
         raise ConfigError("leaderboard", [f"folder: {folder} is none"])
@@ -139,8 +134,8 @@ def _problems(record: Any, frozen: Mapping[str, tuple[Instance, ...]]) -> Iterat
         yield "is no result of mbn benchmark"
         return
     protocol, tiers = load_protocol(), record["tiers"]
-    wanted = {"protocol": protocol.version, "splits": protocol.splits, "split": SPLIT}
-    for name, value in wanted.items():
+    ours = {"protocol": protocol.version, "splits": protocol.splits, "split": SPLIT}
+    for name, value in ours.items():
         if record.get(name) != value:
             yield f"{name}: {record.get(name)!r}; needed: {value!r}"
     if not isinstance(record.get("command"), str):

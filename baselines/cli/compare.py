@@ -30,8 +30,7 @@ class Compare(Writes):
     out: Output = Path("runs/comparison")
     """The folder to write: tables, figures, GIFs, and a run folder for every run."""
     resume: bool = False
-    """Resume the comparison in the folder: finished runs are kept, interrupted ones are resumed,
-    missing ones are started. The rest of the command must be the same."""
+    """Continue the comparison in the folder, with the same command otherwise."""
     wandb: str | None = None
     """Log every run to this project of Weights & Biases too (pip install wandb)."""
 
@@ -52,13 +51,7 @@ class Compare(Writes):
 
 
 def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Results:
-    """Train with a bar for every run, then write and print the comparison.
-
-    Arguments and errors are those of :func:`~baselines.compare.run.train_all_runs`.
-
-    Raises:
-        RunError: a learner diverged; all else is done and written.
-    """
+    """Train, write and print a comparison; a RunError names at the end all that diverged."""
     from baselines.compare.report import PAGE, write_comparison
     from baselines.compare.run import train_all_runs
     from baselines.compare.tables import print_comparison
@@ -83,11 +76,9 @@ class Report(Writes):
     """Report on runs: the paper's tables and figures with ours beside them, or a comparison."""
 
     runs: Positional[Annotated[tuple[Path, ...], arg(metavar="RUN ...")]]
-    """Run folders, or folders that hold some; studies and what --force moved aside are left out
-    there, with --paper comparisons too. With --paper also folders of earlier reports."""
+    """Run folders, or folders that hold some; with --paper also folders of earlier reports."""
     out: Output
-    """The folder to write, with the page paper.md or comparison.md in it; or NAME.md for the page,
-    beside its folder NAME."""
+    """The folder to write, with paper.md or comparison.md; or NAME.md, beside its folder NAME."""
     paper: bool = False
     """The paper's experiments: its tables as Markdown, CSV and LaTeX, and its figures."""
     comparison: bool = False
@@ -126,8 +117,7 @@ class Benchmark(Writes):
     """Measure a policy on frozen fields with proved bounds, by the same rules for all."""
 
     source: Positional[Annotated[str, arg(metavar="POLICY")]]
-    """zoo:NAME, a policy of `mbn zoo`; the folder of a run; greedy, planner, replan or random;
-    or module:callable, your own."""
+    """zoo:NAME, the folder of a run, greedy, planner, replan, random, or module:callable."""
     split: Literal["test", "validation"] = "test"
     """The fields: those to choose by are of validation."""
     shield: bool = False
@@ -135,8 +125,7 @@ class Benchmark(Writes):
     tiers: tuple[str, ...] = ()
     """Some of 1-convex, 2-sizes, 3-shapes, 4-crowds, 5-weather; by default all."""
     out: OptionalOutput = None
-    """The folder to write: result.json, episodes; by default
-    runs/benchmark-POLICY-SPLIT, or runs/benchmark-POLICY-shield-SPLIT."""
+    """The folder to write: result.json, episodes; by default runs/benchmark-POLICY-SPLIT."""
     resume: bool = False
     """Continue a benchmark that was interrupted: tiers that are done are kept."""
 
@@ -199,7 +188,6 @@ class Runs:
 
 
 def line_of(run: RunFolder) -> tuple[str, ...]:
-    """Return a run's line of the table; of one that cannot be read, why."""
     from baselines.compare.records import Listed, Summary, validate
     from baselines.compare.text_table import shown
     from mbn_marl.errors import MbnError

@@ -14,7 +14,6 @@ from baselines.cli.options import OptionalOutput, Output, Subject, Writes, check
 from mbn_marl.optimum import optimality_gap
 
 ONE_EPISODE = "deterministic:\none episode"
-"""In place of a number of episodes, where all are the same."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,8 +27,7 @@ class Evaluate(Subject):
     json: Path | None = None
     """Write every episode to this file."""
     record: Path | None = None
-    """A new folder for the best, the median and the worst episode with sampled actions, as files
-    for `mbn replay`."""
+    """A new folder for the best, the median and the worst sampled episode, for `mbn replay`."""
     shield: bool = False
     """Let robots do only what they could brake after, whatever the policy wants."""
 
@@ -39,7 +37,6 @@ class Evaluate(Subject):
         self._evaluate(*self._subject(), command_line)
 
     def _subject(self) -> tuple[str, dict[str, Any]]:
-        """Return the policy's name in titles, and the arguments of `evaluate`."""
         from baselines.evaluation.evaluate import EVALUATION_SEED
         from baselines.policies.load import find_policy, is_trained, open_run
         from baselines.policies.shielded import Shielded, behind
@@ -95,11 +92,7 @@ def print_evaluations(
     optimum: float | None = None,
     one: Callable[..., bool] = lambda *, deterministic: False,
 ) -> None:
-    """Print evaluations (as ``Evaluation.summary()`` has them) as a table, one a row.
-
-    ``optimum`` is the proved best return, if there is one; ``one(deterministic=...)`` says whether
-    all episodes of a row are the same.
-    """
+    """Print summaries, one a row; ``one`` says if all episodes of a row are the same."""
     from baselines.compare.text_table import TextTable, shown
 
     caption = "" if optimum is None else f"gap: to the proved optimum, {optimum:,.0f}"
@@ -126,8 +119,7 @@ class Zoo:
     add: Annotated[Path | None, arg(metavar="RUN")] = None
     """Make an entry of this finished run: evaluate its policy and write its card."""
     out: OptionalOutput = None
-    """The folder to make; by default the package's own, named as the run's field, or as its label
-    if it was trained on random fields."""
+    """The folder to make; by default the package's own, named as the run's field or label."""
 
     def run(self, command_line: str) -> None:
         from baselines.policies.load import ENTRIES, entry_names, read_card

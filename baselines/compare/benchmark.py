@@ -30,13 +30,10 @@ from mbn_marl.planning import UnsolvableError
 
 RESULT, EPISODES = "result.json", "episodes"
 CHOSEN = ("median", "worst")
-"""The instances of a tier whose episodes are kept."""
 T_MAX = NavigationConfig().max_steps
 MISFITS = (ConfigError, NoPlanError, UnsolvableError)
-"""The errors of a policy that does not fit a field."""
 FORCE_HINT = "use --force to move the folder aside and start again"
 WAYS = ("mean", "sampled")
-"""Of acting: with the mean actions, with sampled ones."""
 METRICS: Mapping[str, tuple[str, str]] = {
     "success_rate": ("success", "{:.1%}"),
     "clean_rate": ("clean", "{:.1%}"),
@@ -108,7 +105,6 @@ def load_protocol() -> Protocol:
 
 
 def load_tiers(split: str, tiers: Sequence[str]) -> dict[str, tuple[Instance, ...]]:
-    """Return the instances of each tier; a FieldError lists what ``load_split`` says of each."""
     problems: list[str] = []
     loaded = {}
     for tier in tiers:
@@ -130,18 +126,16 @@ def run_benchmark(
     resume: bool = False,
     advance: Callable[[int], object] = lambda count: None,
 ) -> dict[str, Any]:
-    """Measure a policy on all instances; write the result after each tier.
+    """Measure a policy, named as for :func:`baselines.load_policy`; write the result of each tier.
 
-    The ``source`` is that of :func:`baselines.load_policy`. With ``resume`` the tiers that are in
-    ``out`` are kept; ``advance`` receives the number of instances that are newly done.
+    With ``resume`` the tiers in ``out`` are kept; ``advance`` receives how many instances are done.
 
     Returns:
         The content of ``result.json``, as JSON values.
 
     Raises:
         ConfigError: the policy fits no tier, or its settings change the task (SettingsError).
-        RunError: there is no such policy, or it failed; or what is in ``out`` is damaged, or of
-            another command or version.
+        RunError: there is no such policy, it failed, or ``out`` has a result of other settings.
     """
     protocol, path = load_protocol(), out / RESULT
     asked = {"protocol": protocol.version, "splits": protocol.splits, "policy": source}
@@ -174,7 +168,6 @@ def run_benchmark(
 
 
 def _resumed(path: Path, new: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the result to continue; a RunError says why that is not possible."""
     try:
         record: dict[str, Any] = read_json(path)
         ours, theirs = (one["versions"]["packages"]["mbn-marl"] for one in (new, record))
@@ -263,10 +256,7 @@ def _run_instance(
 
 
 def check_settings(settings: Mapping[str, Any], condition: Condition, protocol: Protocol) -> None:
-    """Raise a SettingsError that lists the settings of a policy that change the task.
-
-    The size of the team is none of them.
-    """
+    """Raise a SettingsError that lists the settings of a policy, without its size of the team."""
     ours, theirs = make_config({"condition": condition}), make_config(settings)
     problems = [
         f"{name}: {getattr(theirs, name)!r}; allowed: {getattr(ours, name)!r}"
@@ -310,10 +300,7 @@ def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def statistics(values: Sequence[float | None]) -> dict[str, Any] | None:
-    """Return mean and interquartile mean with 95 % intervals, of the values that are known.
-
-    Both are bootstrapped over the values; one value alone has no interval.
-    """
+    """Return mean and interquartile mean of what is known, with bootstrapped 95 % intervals."""
     known = [value for value in values if value is not None]
     if not known:
         return None

@@ -30,7 +30,6 @@ OF_FIELDS = FORMS + (
 
 
 def print_comparison(comparison: Comparison, console: Console) -> None:
-    """Print the result, and every table with what its columns mean below."""
     console.print(comparison.question, markup=False)
     console.print(comparison.verdict, "\n", markup=False)
     for title, table in field_tables(comparison).items():
@@ -42,7 +41,7 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
 
 
 def field_tables(comparison: Comparison) -> dict[str, TextTable]:
-    """Return a table for each field, by title, which begins with the field's name and a colon."""
+    """Return a table for each field, by title."""
     headings = (
         *("algo", "C/D", "return", "interval\n(x 1000)", "success", "make-\nspan"),
         *("of\nopti-\nmum", "mean\nactions", "steps to\n100k"),

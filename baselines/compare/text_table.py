@@ -22,19 +22,14 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 def shown(value: Any, form: str = "{:,.0f}") -> str:
-    """Return a number in a form; a dash for none."""
     return "-" if value is None else form.format(value)
 
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of words.
+    """A heading may have several lines; an empty first word belongs to the word above it.
 
-    Attributes:
-        caption: sentences about it.
-        headings: of the columns; one may have several lines.
-        lines: each as long as the headings; an empty first word belongs to the word above it.
-        words: the number of columns, from the left, that hold words and no numbers.
+    The first ``words`` columns hold words, the others numbers.
     """
 
     caption: str
