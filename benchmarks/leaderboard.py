@@ -162,8 +162,7 @@ def _table(found: Mapping[str, Mapping[str, Any]]) -> TextTable:
     columns, lines = (key, *COLUMNS), []
     for name, one in found.items():
         for way in filter(one.get, WAYS):
-            words = cells(one, way, columns)
-            whole = (text.replace("\n", "<br>").replace(" ", NO_BREAK) for text in words)
+            whole = (text.replace(" ", NO_BREAK) for text in cells(one, way, columns))
             lines.append((one[way][key]["mean"], (name, way, *whole)))
         if one.get("misfit"):
             line = (name, "does not fit", *cells({}, "mean", columns))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 DASH = "–"  # noqa: RUF001  (a dash, not a minus)
 
-_MARKDOWN = str.maketrans({"|": r"\|", "<": "&lt;", "\n": " ", "\r": " "})
+_MARKDOWN = str.maketrans({"|": r"\|", "<": "&lt;", "\n": "<br>", "\r": " "})
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 

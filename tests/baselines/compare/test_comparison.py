@@ -248,7 +248,9 @@ def test_an_entry_that_no_run_writes_is_named(
 def test_words_stay_in_their_cells() -> None:
     words = ("a | b\n## c", "<img src=x>", r"\input{x}$^~")
     table = TextTable("c", ("x", "y", "z"), (words,), words=3)
-    assert table.markdown().splitlines()[-1] == r"| a \| b ## c | &lt;img src=x> | \input{x}$^~ |"
+    assert (
+        table.markdown().splitlines()[-1] == r"| a \| b<br>## c | &lt;img src=x> | \input{x}$^~ |"
+    )
     shown = r"\textbackslash input\{x\}\$\textasciicircum \textasciitilde  \\"
     assert shown in table.latex("t") and r"\#\# c" in table.latex("t")
     table = TextTable("c", ("a_b", "x"), (("field_01", "-1.5"), ("", "2")))
