@@ -29,10 +29,10 @@ from mbn_marl.errors import ConfigError, unknown
 
 MAX_ROBOTS = 64
 MAX_ROIS = 24  # with more, the visit code would be inexact in float32
+# The range of what must be above 0: in float32 squares and quotients are finite, above 0 too.
 LEAST, MOST = 1e-12, 1e12
-"""The range of what must be above 0: in float32 squares and quotients are finite, above 0 too."""
+# Marks of a setting's forms: one value, one for each robot, a range; not in messages.
 _ONE, _EACH, _DRAWN = "for all", "for each", "(drawn)"
-"""Marks of a setting's forms: one value, one for each robot, a range; not in messages."""
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 80
 
@@ -149,26 +149,21 @@ AnyProbability = Annotated[float, or_drawn(Probability)]
 AnyTurn = Annotated[float, or_drawn(Turn)]
 AnySteering = Annotated[float, or_drawn(Steering)]
 PositiveOfEach = Annotated[float | tuple[float, ...], or_each(AnyPositive)]
+# A number, or the range that each episode draws it from.
 Number = float | Uniform
-"""A number, or the range that each episode draws it from."""
 
 Dynamics = Literal["point_mass", "holonomic", "unicycle", "bicycle"]
 TeamDynamics = Literal[Dynamics, "mixed"]
 DynamicsOfEach = Annotated[TeamDynamics | tuple[Dynamics, ...], or_each(Dynamics, TeamDynamics)]
+# The dynamics of a ``"mixed"`` team's robots, in turn.
 MIXED: tuple[Dynamics, ...] = ("point_mass", "unicycle", "bicycle")
-"""The dynamics of a ``"mixed"`` team's robots, in turn."""
 Observation = Literal["relative", "state", "local", "lidar", "lidar_local", "entities"]
+# Observations that do not depend on the sensing radius.
 WITHOUT_RADIUS = ("relative", "state")
-"""Observations that do not depend on the sensing radius."""
 
 
 class RewardProfile(Checked):
-    """A named set of reward rules and weights, in reward units (mdp.md, "Reward profiles").
-
-    Source:
-        Choton, Woods, Hsu, section 3 (``"formal"``) and the authors' released code
-        (``"released"``).
-    """
+    """A named set of reward rules and weights, in reward units (mdp.md, "Reward profiles")."""
 
     name: str
     rules: Literal["released", "formal"] = "released"
@@ -212,11 +207,7 @@ class Failures(Checked):
 
 
 class NavigationConfig(Checked):
-    """Everything about the MDP that is not the field. Symbols are those of the paper.
-
-    Source:
-        Choton, Woods, Hsu, sections 3 and 4: symbols, dynamics and default numbers.
-    """
+    """Everything about the MDP that is not the field. Symbols and numbers are the paper's."""
 
     n_robots: Annotated[WholeNumber, Field(ge=1, le=MAX_ROBOTS)] | None = None
     """Team size, 1 to 64; ``None`` takes as many as the field has starts."""
@@ -378,19 +369,19 @@ class NavigationConfig(Checked):
         return speed * math.cos(math.radians(angle)), speed * math.sin(math.radians(angle))
 
 
+# Settings that are one number, which may be drawn.
 NUMBERS = tuple(
     name
     for name, field in NavigationConfig.model_fields.items()
     if field.annotation is float and any(isinstance(m, GetPydanticSchema) for m in field.metadata)
 )
-"""Settings that are one number, which may be drawn."""
+# Settings that are a number of each robot, which may be drawn.
 LIMITS = ("mass", "f_max", "v_clip")
-"""Settings that are a number of each robot, which may be drawn."""
+# Settings that make episodes random unless they are off.
 RANDOM = (
     *("random_starts", "gust", "action_noise", "action_loss"),
     *("position_noise", "velocity_noise", "dropout"),
 )
-"""Settings that make episodes random unless they are off."""
 
 Condition = Literal["calm", "windy", "gusty", "noisy", "delayed", "failing", "mixed", "storm"]
 _NOISY = {"position_noise": 1.0, "velocity_noise": 0.1, "action_noise": 0.05}

@@ -36,16 +36,12 @@ def check_free(path: Path, *, force: bool = False) -> None:
     if path.is_dir():
         raise MbnError(f"{path} is a folder; the output must be a file")
     if path.exists() and not force:
-        raise MbnError(
-            f"{path} already exists; choose another name, or pass --force to move it aside"
-        )
+        allowed = "choose another name, or pass --force to move it aside"
+        raise MbnError(f"{path} already exists; {allowed}")
 
 
 def claim_file(path: Path, *, force: bool = False) -> Path:
-    """Make ``path`` free for a new file, and return it; errors as :func:`check_free`.
-
-    With ``force`` an existing file moves to :func:`free_name`, so that nothing is lost.
-    """
+    """Make ``path`` free for a new file; with ``force`` an old one moves to :func:`free_name`."""
     check_free(path, force=force)
     if path.exists():
         path.rename(free_name(path))
@@ -53,7 +49,6 @@ def claim_file(path: Path, *, force: bool = False) -> Path:
 
 
 def free_name(path: Path) -> Path:
-    """Return the first of ``<path>.1``, ``<path>.2``, ... that does not exist."""
     number = 1
     while (candidate := path.with_name(f"{path.name}.{number}")).exists():
         number += 1

@@ -6,11 +6,11 @@ from mbn_marl.config import NavigationConfig
 from mbn_marl.field import Field
 
 DEFAULT = NavigationConfig()
+# Settings that change observations, but not the best return; or nothing without a gust.
 VIEW = (
     *("reward_sharing", "observation", "assignment", "one_hot", "sensing_radius", "dtype"),
     *("position_noise", "velocity_noise", "dropout", "gust_time"),
 )
-"""Settings that change observations, but not the best return; or nothing without a gust."""
 
 
 def optimality_gap(return_: float, optimum: float | None) -> float | None:
@@ -24,10 +24,8 @@ def optimal_return(field: Field, config: NavigationConfig | None = None) -> floa
     It is proved for the default dynamics, the released rewards and the field's own starts and
     team, as long as ``r_l``, the cost of the abrupt stop at a wall, exceeds that of all the steps.
 
-    ``config`` is that of the environment; ``None`` is the default one.
-
-    Source:
-        The formula is that of ``docs/mdp.md`` for a clean success, T* the planner's.
+    ``config`` is that of the environment; ``None`` is the default one. The formula is that of
+    ``docs/mdp.md`` for a clean success, T* the planner's.
     """
     config = config or DEFAULT
     comparable = config.model_copy(

@@ -1,11 +1,10 @@
-"""The environments' ids in the registries of Gymnasium and PettingZoo.
+"""The environments' ids in the registries of Gymnasium and PettingZoo."""
 
-They are ``mbn/field_03-v0`` and the like, and ``mbn/field_03-gusty-v0`` under a condition.
-Gymnasium has ``mbn/field_03-flat-v0`` too, with actions ``(2n,)``.
-
-Entry points are strings, so that an environment is imported only when one is made. Without an
-import of this package, use ``gymnasium.make("mbn_marl:mbn/field_03-v0")``.
-"""
+# They are ``mbn/field_03-v0`` and the like, and ``mbn/field_03-gusty-v0`` under a condition.
+# Gymnasium has ``mbn/field_03-flat-v0`` too, with actions ``(2n,)``.
+#
+# Entry points are strings, so that an environment is imported only when one is made. Without an
+# import of this package, use ``gymnasium.make("mbn_marl:mbn/field_03-v0")``.
 
 from __future__ import annotations
 
@@ -25,10 +24,8 @@ def environment_id(field_name: str, condition: Condition = "calm") -> str:
 
 
 def register_environments() -> None:
-    """Register every catalogue field under every condition.
-
-    Centralised in Gymnasium, decentralised in PettingZoo, which has a registry from 1.27 on.
-    """
+    """Register all fields and conditions: Gymnasium's are centralised, PettingZoo's are not."""
+    # PettingZoo has a registry from 1.27 on.
     forms = {"parallel": "parallel_env", "aec": "env"} if hasattr(pettingzoo, "register") else {}
     for name in catalogue_names():
         gymnasium.register(

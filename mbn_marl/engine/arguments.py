@@ -13,22 +13,21 @@ import numpy as np
 from llvmlite import ir
 from numba import typeof
 from numba.core import cgutils, types
-from numba.extending import NativeValue, intrinsic, models, register_model, unbox
+from numba.extending import NativeValue, models, register_model, unbox
 from numpy.typing import NDArray
 
 from mbn_marl.engine.constants import Constants, constants_of
+from mbn_marl.jit.intrinsics import instruction
 
+# Groups of constants. Those of a group that are all 0 are part of the arguments' type.
+#
+# Code that they exclude is not compiled then. Each other value in the type would compile it again.
 SETTLED = ("rules", "team_sharing", "one_hot", "random_starts"), ("observation",)
-"""Groups of constants. Where all of one are 0, they are part of the arguments' type.
-
-Code that they exclude is not compiled then. Each other value in the type would compile it again.
-"""
 NO_OWNER = (0, 0)
 
 
 class ArgumentsType(types.Type):
-    """Numba's type of :class:`Arguments`: the types of what ``worlds_of`` returns."""
-
+    # The types of what ``worlds_of`` returns.
     def __init__(self, parts: tuple[Any, ...]) -> None:
         self.parts = parts
         super().__init__(name=f"Arguments({', '.join(map(str, parts))})")
@@ -38,11 +37,9 @@ register_model(ArgumentsType)(models.OpaqueModel)
 
 
 class Arguments:
-    """References to an engine's arrays: ``parts`` are geometry, memory, now, final and output.
+    """References to an engine's arrays: ``parts`` are geometry, memory, now, final and output."""
 
-    There is a scratch for each range of worlds that is stepped on another thread.
-    """
-
+    # There is a scratch for each range of worlds that is stepped on another thread.
     def __init__(self, record: NDArray[Any], parts: Sequence[Any], scratch: Sequence[Any]) -> None:
         shared = [0, record.ctypes.data, *_words_of(parts)]
         self._held = record, parts, scratch
@@ -89,7 +86,8 @@ def _table_of(context: Any, kind: ArgumentsType) -> ir.LiteralStructType:
     return ir.LiteralStructType([ir.IntType(64), constants.as_pointer(), *parts])
 
 
-def _worlds_of(typing: Any, kind: ArgumentsType) -> Any:
+@instruction
+def worlds_of(typing: Any, kind: ArgumentsType) -> Any:
     """Return the constants, all parts and the scratch, without counting references."""
     # Scalars that live in registers cannot alias the arrays that a pass writes, so they leave its
     # loop.
@@ -104,7 +102,8 @@ def _worlds_of(typing: Any, kind: ArgumentsType) -> Any:
     return kinds(kind), generate
 
 
-def _with_scratch(typing: Any, kind: ArgumentsType, k: Any) -> Any:
+@instruction
+def with_scratch(typing: Any, kind: ArgumentsType, k: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         tables = builder.bitcast(arguments[0], _table_of(context, kind).as_pointer())
@@ -113,7 +112,8 @@ def _with_scratch(typing: Any, kind: ArgumentsType, k: Any) -> Any:
     return kind(kind, k), generate
 
 
-def _call_reset(typing: Any, kind: ArgumentsType, mask: Any, lo: Any, hi: Any) -> Any:
+@instruction
+def call_reset(typing: Any, kind: ArgumentsType, mask: Any, lo: Any, hi: Any) -> Any:
     """Call the ``reset_worlds`` at the address; what calls it need not be compiled with it."""
     kinds = (kind, mask, lo, hi, types.boolean)
 
@@ -128,8 +128,3 @@ def _call_reset(typing: Any, kind: ArgumentsType, mask: Any, lo: Any, hi: Any) -
         return context.get_dummy_value()
 
     return types.none(kind, mask, lo, hi), generate
-
-
-worlds_of: Any = intrinsic(_worlds_of)
-call_reset: Any = intrinsic(_call_reset)
-with_scratch: Any = intrinsic(_with_scratch)

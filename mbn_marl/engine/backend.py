@@ -22,8 +22,6 @@ from mbn_marl.jit.compile import address_of
 
 @dataclass(frozen=True, eq=False)
 class BackendSpec:
-    """The settings and tables that a backend is made from."""
-
     config: NavigationConfig  # with the team size filled in
     num_worlds: int
     obs_size: int
@@ -69,7 +67,6 @@ class Backend:
     # -- the cycle: reset, step --------------------------------------------------------------------
 
     def reset(self, mask: Any) -> None:
-        """Begin a new episode in the worlds of a mask (W,), or in all if it is ``None``."""
         chosen = self._checked_mask("mask", mask)
         kernels.reset_worlds(self.arguments, chosen, 0, self.spec.num_worlds, True)
         self.recount()
@@ -78,7 +75,12 @@ class Backend:
         forces = self.checked_actions(actions)
         parked = None
         if self._count_waiting or active is not None:
-            parked = self._checked_parked(active)
+            waiting, moving = self._waits(), self._checked_mask("active", active)
+            for world in np.flatnonzero(moving & waiting):
+                raise self._waiting(int(world))
+            for world in np.flatnonzero(~moving & ~waiting):
+                raise self._left_out(int(world))
+            parked = np.flatnonzero(~moving)
             kept = [array[..., parked] for array in self.now], self.memory.plan[parked]
         if not self.arguments.resets and self.spec.autoreset != "disabled":
             # Machine code of a step finds that of a reset by its address: it is compiled here.
@@ -89,14 +91,6 @@ class Backend:
             self._count_waiting = ended
         if parked is not None:
             self._restore(parked, *kept)
-
-    def _checked_parked(self, active: Any) -> NDArray[np.intp]:
-        waiting, moving = self._waits(), self._checked_mask("active", active)
-        for world in np.flatnonzero(moving & waiting):
-            raise self._waiting(int(world))
-        for world in np.flatnonzero(~moving & ~waiting):
-            raise self._left_out(int(world))
-        return np.flatnonzero(~moving)
 
     def _restore(self, parked: NDArray[np.intp], kept: list[Array], plan: Array) -> None:
         for array, columns in zip(self.now, kept, strict=True):
@@ -146,7 +140,6 @@ class Backend:
     # -- what is given -----------------------------------------------------------------------------
 
     def checked_actions(self, actions: Any) -> Any:
-        """Return the actions in the engine's precision, or raise an ``ActionError``."""
         allowed = self._allowed_actions
         given = self.given("actions", actions, allowed)
         if given.shape != self._actions.shape:
@@ -170,11 +163,9 @@ class Backend:
         why = "has ended" if self.memory.episode[world] >= 0 else "was never reset"
         return StepError(f"{place}world {world} {why}; allowed: reset() or reset_worlds() first")
 
-    @staticmethod
-    def _left_out(world: int, place: str = "") -> StepError:
-        return StepError(
-            f"{place}world {world} is left out of the step; allowed: only ended worlds"
-        )
+    def _left_out(self, world: int, place: str = "") -> StepError:
+        problem = f"{place}world {world} is left out of the step"
+        return StepError(f"{problem}; allowed: only ended worlds")
 
     def given(self, name: str, value: Any, allowed: str) -> Any:
         try:

@@ -31,16 +31,16 @@ from mbn_marl.field import Field, FieldSampler, load_field
 from mbn_marl.field.generator.layout import Tables
 
 FieldLike = Field | str | os.PathLike[str]
+# A field for all worlds, those of the worlds in turn, or what draws one for each episode.
 Fields = FieldLike | Sequence[FieldLike] | FieldSampler
-"""A field for all worlds, those of the worlds in turn, or what draws one for each episode."""
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
+# The names of the measures of an episode, in the order of ``BatchEngine.metrics``.
 METRICS = (
     *("success", "collision", "rois_visited", "steps", "episode_return"),
     *("wall_hits", "path_length", "impulse", "failed", "return_"),
 )
-"""The names of the measures of an episode, in the order of ``BatchEngine.metrics``."""
 
 
 class Listener(Protocol):
@@ -206,11 +206,7 @@ class BatchEngine:
         return self._backend.output.observations
 
     def reset_worlds(self, mask: ArrayLike) -> Floats:
-        """Begin a new episode in the worlds where ``mask`` (W,) bool is set.
-
-        Returns:
-            The observations of all worlds, (W, n, obs_size) float32.
-        """
+        """Begin a new episode where ``mask`` (W,) bool is set; return all worlds' observations."""
         self._backend.reset(mask)
         self._tell_reset(mask)
         return self._backend.output.observations
@@ -283,7 +279,6 @@ class BatchEngine:
             raise IndexError(f"world {world}; allowed: 0 to {self.num_worlds - 1}")
 
     def _column(self, world: int) -> int:
-        """The column of a world in the tables of its field."""
         return world if self._backend.geometry.field.codes.shape[0] > 1 else 0
 
     def set_field(self, field: Field, world: int = 0, starts: ArrayLike | None = None) -> None:
@@ -298,16 +293,14 @@ class BatchEngine:
             starts: where the robots start, (n, 2) units, instead of the field's own starts.
         """
         self._check_world(world)
-        given = validation.as_starts(starts)
-        problems = validation.set_field_problems(
-            field, self._sizes, self.config, self.teams_vary, given
-        )
+        given, vary = validation.as_starts(starts), self.teams_vary
+        problems = validation.set_field_problems(field, self._sizes, self.config, vary, given)
         if self.num_worlds > 1 and len(self.fields) == 1:
             problems.append("field: one for all worlds; allowed: with a field for each, or 1 world")
         if problems:
             raise ConfigError("set_field", problems)
         f, backend = self._column(world), self._backend
-        tables, paths = column_of(field, backend.geometry, self.config, self.teams_vary, given)
+        tables, paths = column_of(field, backend.geometry, self.config, vary, given)
         backend.make_room(tables.edges.shape[1], paths.waypoints.shape[1])
         here = *backend.geometry.field, *backend.geometry.paths
         for table, part in zip(here, (*tables, *paths), strict=True):
@@ -318,11 +311,7 @@ class BatchEngine:
         self._set_fields[world] = int(self.episode_numbers[world]) + 1, field
 
     def set_sampler(self, sampler: FieldSampler) -> None:
-        """Draw fields by other numbers from the next resets on, as in a curriculum.
-
-        Args:
-            sampler: its fields are at most as large as those of the first one.
-        """
+        """Draw fields by other numbers from the next resets on, at most as large as at first."""
         problems = validation.set_sampler_problems(sampler, self._sizes, self.teams_vary)
         if self.sampler is None:
             problems = ["sampler: allowed in place of another one"]
@@ -405,9 +394,8 @@ class BatchEngine:
         ended = (output.terminated | output.truncated) & (self.autoreset == "same_step")
 
         def last(name: str) -> Array:
-            """Return the part ``name`` of the episodes that the last step was of, ([n,] W)."""
             part: Array = xp.where(ended, getattr(final, name), getattr(now, name))
-            return part
+            return part  # of the episode that the last step was of, ([n,] W)
 
         def count_visited() -> Array:
             codes = last("visited") & last("codes")
@@ -506,10 +494,9 @@ class BatchEngine:
 
     @property
     def running(self) -> Flags:
-        """Which worlds are in an episode, (W,) bool, a fresh NumPy array.
+        """Flags of the worlds that are in an episode, (W,) bool, a fresh NumPy array.
 
-        A world is not before its first reset, nor after its end until it is reset, by itself or
-        by :meth:`reset_worlds`.
+        A world is in none before its first reset, nor between its end and its next reset.
         """
         return ~self._backend.host(self._backend.memory.pending)
 
@@ -520,17 +507,17 @@ class BatchEngine:
 
     @property
     def failed(self) -> Flags:
-        """Which robots have failed in the present episode of each world, (W, n) bool."""
+        """Flags of the robots that have failed in each world's present episode, (W, n) bool."""
         return self._have_status(FAILED)
 
     @property
     def working(self) -> Flags:
-        """Which robots are in the team and have not failed, (W, n) bool."""
+        """Flags of the robots that are in the team and have not failed, (W, n) bool."""
         return ~(self._have_status(FAILED) | self._have_status(ABSENT))
 
     @property
     def present(self) -> Flags:
-        """Which robots are in the present team of each world, (W, n) bool.
+        """Flags of the robots in the present team of each world, (W, n) bool.
 
         The first ones always are. Those that are not observe zeros, earn nothing, touch nothing
         and visit nothing; their actions have no effect.
@@ -608,9 +595,7 @@ class BatchEngine:
         """Restore a saved state: the worlds then continue as those of the saved engine.
 
         Settings and fields have to be the same; only sizes, types and samplers are compared.
-
-        Args:
-            saved: what :meth:`save_state` gave: arrays of its shapes, such as (n, W), and units.
+        Arrays have the shapes and units that :meth:`save_state` gave.
 
         Raises:
             ProblemsError: naming every array with another shape or type, or values out of range.
@@ -646,6 +631,5 @@ def _class_of(device: Device) -> type[Backend]:
 
 
 def _load_all(field: FieldLike | Sequence[FieldLike]) -> tuple[Field, ...]:
-    """The fields of an engine that does not draw them."""
     several = isinstance(field, Sequence) and not isinstance(field, str)
     return tuple(load_field(one) for one in (field if several else [field]))  # type: ignore[union-attr,arg-type]

@@ -17,8 +17,8 @@ from mbn_marl.engine.mdp.rewards import RULES
 
 AUTORESET_MODES = ("disabled", "same_step", "next_step")
 WEIGHTS = [name for name, field in RewardProfile.model_fields.items() if field.annotation is float]
+# The numbers of a :class:`RewardProfile`, real, reward units.
 Weights = namedtuple("Weights", WEIGHTS)  # type: ignore[misc]
-"""The numbers of a :class:`RewardProfile`, real, reward units."""
 
 
 def _values(
@@ -93,15 +93,12 @@ def _reciprocal(span: float, real: np.dtype[Any]) -> float:
 
 
 # The constants of any configuration name those of all.
+# Constants of the MDP as kernels see them: reals of the engine's precision, whole numbers.
 Constants = namedtuple("Constants", _values(NavigationConfig(), 1, (1.0, 1.0), "disabled"))  # type: ignore[misc]
-"""Constants of the MDP as kernels see them: reals of the engine's precision, whole numbers."""
 
 
 def make_record(*arguments: Any, **named: Any) -> NDArray[Any]:
-    """The constants as one structured array, (1,), laid out as Numba lays out ``Constants``.
-
-    The arguments are those of ``_values``.
-    """
+    """The ``_values`` as one structured array, (1,), laid out as Numba lays out ``Constants``."""
     values = _values(*arguments, **named)
     real = np.dtype(arguments[0].dtype)
     kinds = {float: real, Weights: np.dtype([(name, real) for name in WEIGHTS])}

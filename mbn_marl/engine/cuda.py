@@ -25,8 +25,6 @@ NEEDS = (
 
 
 class Device:
-    """torch's current CUDA device and stream, for Numba's kernels."""
-
     def __init__(self) -> None:
         if problem := _missing():
             raise ConfigError("configuration", [f"{NEEDS}; {problem}"])
@@ -61,17 +59,14 @@ def _missing() -> str | None:
 
 
 def _mapped(function: Any, arrays: Any) -> Any:
-    """Return the named tuple of arrays, or of such tuples, with the function's results."""
     if not isinstance(arrays, tuple):
         return function(arrays)
     return type(arrays)(*(_mapped(function, array) for array in arrays))
 
 
 class CudaBackend(Backend):
-    """The worlds of an engine in torch tensors."""
-
-    # Nothing here waits for the device but ``raise_fault`` and ``host``. What a captured graph has
-    # to find changed later (seed, number of the draw, first fault) is in tensors.
+    # Nothing here waits for the device but ``raise_fault`` and ``host``. All that a captured graph
+    # has to find changed later (seed, number of the draw, first fault) is in tensors.
     xp = torch
     derived = ("_arrays", "_final", "_output", "_faults", "_device")
 
@@ -87,25 +82,16 @@ class CudaBackend(Backend):
         """Begin a new episode in the masked worlds, or in all, unless there is a fault to raise."""
         chosen = self._checked_mask("mask", mask)
         self.raise_fault()
-        self._run(
-            kernels.reset_kernel(self.spec.obs_size),
-            self._constants,
-            *self._arrays,
-            self._output,
-            self._call(self._actions, chosen),
-        )
+        kernel, call = kernels.reset_kernel(self.spec.obs_size), self._call(self._actions, chosen)
+        self._run(kernel, self._constants, *self._arrays, self._output, call)
 
     def step(self, actions: Any, active: Any) -> None:
         n, size = self.spec.actions_shape[1], self.spec.obs_size
         moving = self._checked_mask("active", active)
-        self._run(
-            kernels.step_kernel(n, size, self.spec.config.dtype),
-            self._constants,
-            *self._arrays,
-            self._final,
-            self._output,
-            self._call(self.checked_actions(actions), moving),
-        )
+        kernel = kernels.step_kernel(n, size, self.spec.config.dtype)
+        worlds = *self._arrays, self._final, self._output
+        call = self._call(self.checked_actions(actions), moving)
+        self._run(kernel, self._constants, *worlds, call)
 
     def raise_fault(self) -> None:
         """Raise the first fault of the steps so far, and forget all; waits for the device."""
@@ -154,16 +140,15 @@ class CudaBackend(Backend):
         return torch.empty(shape, dtype=dtype, device=self._device.torch)
 
     def write_infos(self, rows: torch.Tensor) -> None:
-        arguments = (self._constants, *self._arrays, self._final, self._output, self._rows(rows))
-        self._run(kernels.infos, *arguments)
+        worlds = *self._arrays, self._final, self._output
+        self._run(kernels.infos, self._constants, *worlds, self._rows(rows))
 
     def write_states(self, final: bool, rows: torch.Tensor) -> None:
         arrays = self._final if final else self._arrays[2]
         self._run(kernels.states, arrays, self._rows(rows))
 
     def write_draw(self, rows: torch.Tensor) -> None:
-        arguments = self._constants, self._arrays[1], self._rows(rows)
-        self._run(kernels.draw, *arguments)
+        self._run(kernels.draw, self._constants, self._arrays[1], self._rows(rows))
 
     def _rows(self, rows: torch.Tensor) -> tuple[Any]:
         return (self._device.array(rows),)

@@ -35,7 +35,7 @@ from mbn_marl.engine.reset import (
     reset_world,
 )
 from mbn_marl.engine.state import Episode, Geometry, Memory, Output
-from mbn_marl.engine.step import Written, close_step, move_robots, score_step, scratch_of
+from mbn_marl.engine.step import close_step, move_robots, score_step, scratch_of
 from mbn_marl.field.generator.layout import Tables
 from mbn_marl.jit.compile import compiled, generated, returning_views
 from mbn_marl.jit.features import Settle
@@ -48,8 +48,8 @@ NO_FAULT = np.int64(2**62)
 ZERO, ONE = np.uint64(0), np.uint64(1)
 SIMULATED = bool(config.ENABLE_CUDASIM)
 MOST_THREADS = 128
+# The shared memory that a block has without asking the driver for more.
 TILE_BYTES = 48 * 1024
-"""The shared memory that a block has without asking the driver for more."""
 
 
 if not SIMULATED and importlib.util.find_spec("numba_cuda"):
@@ -60,8 +60,6 @@ if not SIMULATED and importlib.util.find_spec("numba_cuda"):
 
 
 class Call(NamedTuple):
-    """The arguments of a step or a reset besides the worlds."""
-
     actions: Any  # (W, n, 2) real
     active: Any  # (W,) bool: worlds to step, or to reset
     fault: Any  # (1,) int64: the first world with a fault * KINDS + its kind, or NO_FAULT
@@ -88,11 +86,9 @@ def fault_of(p, mem, call, w):
 
 
 def _view_of(kind: Any, index: str, given: tuple[str, ...] = (), **places: str) -> Any:
-    """``view(source, w, end, ...)``: world w of the arrays of ``kind``, as a batch of one.
-
-    ``index`` is where a world lies in an array, ``places`` those where that differs; ``given`` are
-    the arrays that the caller has and passes.
-    """
+    """``view(source, w, end, ...)``: world w of the arrays of ``kind``, as a batch of one."""
+    # ``index`` is the place of a world in an array, ``places`` are those that differ; ``given`` are
+    # the arrays that the caller has and passes.
     index_of = dict.fromkeys(kind._fields, index) | places
     arrays = (field if field in given else f"source.{field}{index_of[field]}" for field in index_of)
     head = f"def view({', '.join(('source', 'w', 'end', *given))}):"
@@ -100,9 +96,9 @@ def _view_of(kind: Any, index: str, given: tuple[str, ...] = (), **places: str) 
     return generated("view", source, returning_views, Kind=kind)
 
 
+# The parts of an episode, and those of the output, that a step keeps in registers.
 MOTION = ("x", "y", "vx", "vy", "visited", "steps")
 RESULTS = ("rewards", "team_rewards", "terminated", "truncated", "events", "outcomes")
-"""The parts of an episode, and those of the output, that a step keeps in registers."""
 LAST = "[..., w:end]"
 field_of, paths_of = _view_of(Tables, LAST), _view_of(Paths, LAST)
 episode_of, output_of = _view_of(Episode, LAST, MOTION), _view_of(Output, "[w:end]", RESULTS)
@@ -180,7 +176,6 @@ def rounded_products() -> Iterator[None]:
 
 @cache
 def step_kernel(n: int, obs_size: int, dtype: str) -> Any:
-    """The step of all worlds, for a team and observation size and a precision."""
     real = np.dtype(dtype).type
     bits = np.uint32 if real == np.float32 else np.uint64
     # These are constants of the code: the robots' loops unroll, and a world's arrays are registers.
@@ -216,9 +211,7 @@ def step_kernel(n: int, obs_size: int, dtype: str) -> Any:
             if (fault != 0) | (not call.active[w]):
                 clear_output(p, given, ZERO)
             else:
-                move_robots(
-                    *(p, own, memory, one, Written(given, to)), *(call.actions[w:end], ZERO, ONE)
-                )
+                move_robots(p, own, memory, one, given, to, call.actions[w:end], ZERO, ONE)
                 score_step(p, own, memory, one, given, to, ZERO, ONE)
                 change = close_step(p, memory, given, ZERO)
             if change == ENDED | RESTARTS:
@@ -258,7 +251,6 @@ def reset_kernel(obs_size: int) -> Any:
 
 @exact
 def infos(p, g, mem, now, final, out, rows):
-    """As ``kernels.write_infos``, with ``rows`` in a tuple of one."""
     w = cuda.grid(1)
     if w < now.steps.shape[0]:
         if is_final(p, out, w):
@@ -269,7 +261,6 @@ def infos(p, g, mem, now, final, out, rows):
 
 @exact
 def states(episode, rows):
-    """As ``kernels.write_states``, of one of the episodes, with ``rows`` in a tuple of one."""
     w = np.uint64(cuda.grid(1))
     if w < episode.steps.shape[0]:
         put_state(episode, w, w + ONE, rows[0][w : w + ONE].T)
@@ -277,7 +268,6 @@ def states(episode, rows):
 
 @exact
 def draw(p, mem, rows):
-    """As ``kernels.draw_actions``, with the actions in a tuple of one."""
     w = cuda.grid(1)
     if w < rows[0].shape[0]:
         draw_world(p, mem, w, rows[0])

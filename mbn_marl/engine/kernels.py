@@ -24,15 +24,15 @@ from mbn_marl.jit.intrinsics import call_step
 from mbn_marl.jit.random_numbers import FOR_ACTIONS, stream_key, uniform, world_number
 
 FIRST, NEXT = np.uint64(0), np.uint64(1)
+# With fewer worlds than this for each thread, one does it all.
 WORLDS_PER_THREAD = 256
-"""With fewer worlds than this for each thread, one does it all."""
 
 MEASURES = (
     *("success", "rois_visited", "collision"),
     *("wall_hits", "path_length", "impulse", "failed"),
 )
+# The first measures are the team's, and after all measures come the terms of the reward.
 TEAM_MEASURES, TERMS = MEASURES.index("wall_hits"), len(MEASURES)
-"""The first measures are the team's, and after all measures come the terms of the reward."""
 INFO_COLUMNS = (*MEASURES, *(f"reward/{term}" for term in rewards.REWARD_TERMS))
 
 
@@ -58,10 +58,7 @@ def step_ranges(address, arguments, actions, cuts):
 
 @entry_point
 def reset_worlds(arguments, mask, lo, hi, asked):
-    """Begin a new episode in the worlds from ``lo`` to ``hi - 1`` that ``mask`` marks.
-
-    Unless this was ``asked`` for, the outputs of the last step stay.
-    """
+    # Unless this was ``asked`` for, the outputs of the last step stay.
     p, g, mem, now, _, out, to = worlds_of(arguments)
     for w in range(np.uint64(lo), np.uint64(hi)):
         if mask[w - np.uint64(lo)]:
@@ -147,7 +144,6 @@ def write_infos(arguments, rows):
 
 @entry_point
 def write_states(arguments, final, rows):
-    """Write the paper's vector of every world, (W, size)."""
     _, _, _, now, ended, _, _ = worlds_of(arguments)
     put_state(ended if final else now, FIRST, np.uint64(rows.shape[0]), rows.T)
 
@@ -164,7 +160,6 @@ def draw_world(p, mem, w, actions):
 
 @entry_point
 def draw_actions(arguments, actions):
-    """Fill ``actions`` (W, n, 2) with the next draw of each world's stream of actions."""
     p, _, mem, _, _, _, _ = worlds_of(arguments)
     for w in range(actions.shape[0]):
         draw_world(p, mem, w, actions)
@@ -196,7 +191,6 @@ def cuts_of(worlds: int, threads: int | None) -> NDArray[np.int64]:
 
 
 def step_all(arguments: Arguments, actions: NDArray[Any], cuts: NDArray[np.int64]) -> int:
-    """Step all worlds with ``actions`` (W, n, 2); return how many episodes ended."""
     # No two worlds share memory that is written, so neither the number of threads nor the cuts
     # change any result. The threads are those of Numba's threading layer: OpenMP where there is
     # one, since it starts work in microseconds.

@@ -17,10 +17,10 @@ from mbn_marl.jit import random_numbers as rng
 from mbn_marl.jit.compile import compiled
 from mbn_marl.jit.functions import column
 
+# The random starts that are tried for a robot before the field's own starts are used instead.
 DRAWS_PER_ROBOT = 1000
-"""How many random starts are tried for a robot before the field's own starts are used instead."""
+# Bits of how the episode of a world changes after a step.
 ENDED, RESTARTS = 1, 2
-"""Bits of how the episode of a world changes after a step."""
 
 
 @compiled
@@ -31,7 +31,7 @@ def copy_rows(source, v, target, w, count):
 
 @compiled
 def copy_motion(source, v, target, w, n):
-    """What a step reads over and over of an episode of n robots, from world v to world w."""
+    # The parts of an episode that a step reads over and over, from world v to world w.
     copy_rows(source.x, v, target.x, w, n)
     copy_rows(source.y, v, target.y, w, n)
     copy_rows(source.vx, v, target.vx, w, n)
@@ -89,26 +89,20 @@ def place_at_random(p, g, key, now, team, w):
 
 
 @compiled
-def draw_field(p, g, mem, w):
-    if draws_fields(g):
-        f, sampler = column(g.field, w), g.sampler
-        if not sampler.kept[f]:
-            seed, episode = sampler.numbers[-1], mem.episode[w]
-            key = rng.stream_key(seed, rng.world_number(p, w), episode, rng.FOR_FIELDS)
-            make_field(sampler.numbers, key, sampler.scratch, g.field, f)
-            if assigns(mem):
-                find_paths(g.field, g.paths, f)
-        sampler.kept[f] = False
-
-
-@compiled
 def reset_world(p, g, mem, now, w):
-    """Begin the next episode of world w: robots at rest at the starts, nothing visited."""
     f, field = column(g.field, w), g.field
     n = now.x.shape[0]
     mem.episode[w] += 1
     key = rng.episode_key(mem.seed[0], rng.world_number(p, w), mem.episode[w])
-    draw_field(p, g, mem, w)
+    if draws_fields(g):
+        sampler = g.sampler
+        if not sampler.kept[f]:
+            seed, world = sampler.numbers[-1], rng.world_number(p, w)
+            of_field = rng.stream_key(seed, world, mem.episode[w], rng.FOR_FIELDS)
+            make_field(sampler.numbers, of_field, sampler.scratch, g.field, f)
+            if assigns(mem):
+                find_paths(g.field, g.paths, f)
+        sampler.kept[f] = False
     team = field.robots_in[f]
     draw_numbers(p, g, now, key, team, w)
     at_random = False

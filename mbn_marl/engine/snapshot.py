@@ -35,9 +35,6 @@ class Snapshot:
         safety_distance: C, units, from centre to centre.
         success: whether the episode ended with every ROI visited.
         collision: whether the episode ended with two robots closer than C.
-
-    Source:
-        The symbols are those of Choton, Woods, Hsu, section 3.
     """
 
     field: Field

@@ -47,23 +47,18 @@ class Sampler(NamedTuple):
 
 
 class Geometry(NamedTuple):
-    """Where and with whom the worlds play, padded to common sizes."""
+    """The fields and the teams of the worlds, padded to common sizes."""
 
     field: Tables
     paths: Paths
     team: Team
     sampler: Sampler
 
-    def by_name(self) -> dict[str, Array]:
-        return {name: array for part in self for name, array in part._asdict().items()}
-
 
 draws_fields = Feature(lambda g: g.sampler.numbers.ndim == 1)
 
 
 class Episode(NamedTuple):
-    """Everything about one episode of each world that a reset clears."""
-
     x: Array  # (n, W) real, units
     y: Array
     vx: Array  # (n, W) real, units/step
@@ -87,8 +82,6 @@ class Episode(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """The data that outlives or supports an episode."""
-
     x_bits: Array  # (n, W) uint: the bits of Episode.x, the same memory
     y_bits: Array
     trail: Array  # (W, (T + 1) n, 2) real: positions, entry step * n + robot, the start first
@@ -147,7 +140,6 @@ def make_episode(
 def make_memory(
     worlds: int, n: int, m: int, config: NavigationConfig, now: Episode, xp: ModuleType = np
 ) -> Memory:
-    """Zeroed memory, for m ROIs."""
     real = getattr(xp, config.dtype)
     length = config.max_steps + 1
     formal = config.reward.rules == "formal"

@@ -18,17 +18,17 @@ from mbn_marl.engine.mdp.rewards import RESTED, ROIS_SHIFT
 from mbn_marl.engine.state import Team, draws_fields
 from mbn_marl.errors import ProblemsError
 
+# Arrays of ``Memory`` that are another array's memory.
 VIEWS = ("x_bits", "y_bits", "trail_bits", "trail_key")
-"""Arrays of ``Memory`` that are another array's memory."""
+# Arrays of ``Memory`` that nothing is read from after a step.
 PASSING = ("acted", "sensed")
-"""Arrays of ``Memory`` that nothing is read from after a step."""
+# Arrays of ``Geometry`` that do not depend on the field, or that nothing is read from.
 FIXED = (*Team._fields, "scratch")
-"""Arrays of ``Geometry`` that do not depend on the field, or that nothing is read from."""
 EDGES, WAYS_IN = "geometry.edges", "geometry.ways_in"
+# Tables that are left out where no field has a corner to go round.
 WAYS = ("geometry.waypoints", "geometry.legs")
-"""Tables that are left out where no field has a corner to go round."""
+# Arrays of ``Memory`` that do not belong to a world.
 COUNTERS = ("seed", "draw")
-"""Arrays of ``Memory`` that do not belong to a world."""
 
 
 def changing_arrays(backend: Backend) -> dict[str, Any]:
@@ -37,7 +37,8 @@ def changing_arrays(backend: Backend) -> dict[str, Any]:
         name: getattr(backend, name)._asdict() for name in ("now", "final", "memory", "output")
     }
     if draws_fields(backend.geometry):
-        groups["geometry"] = backend.geometry.by_name()
+        parts = backend.geometry
+        groups["geometry"] = {name: one for part in parts for name, one in part._asdict().items()}
     return {
         name if name in COUNTERS else f"{group}.{name}": array
         for group, members in groups.items()
@@ -51,11 +52,9 @@ def save_worlds(backend: Backend) -> dict[str, NDArray[Any]]:
 
 
 def limits(backend: Backend, edges: int, waypoints: int) -> dict[str, tuple[Any, Any]]:
-    """The least and the greatest value of an array by name: one value, or one per entry.
-
-    Compiled code uses these numbers as indices, counts and shifts without checks. Other reals are
-    finite, other whole numbers are free. ``edges`` and ``waypoints`` are the sizes of the tables.
-    """
+    """The least and the greatest value of an array by name: one value, or one per entry."""
+    # Compiled code uses these numbers as indices, counts and shifts without checks. Other reals are
+    # finite, other whole numbers are free. ``edges`` and ``waypoints`` are the sizes of the tables.
     spec, g, real = backend.spec, backend.geometry, np.dtype(backend.spec.config.dtype).type
     _, n, _ = spec.actions_shape
     m, steps = g.field.rois.shape[1], spec.config.max_steps
@@ -137,7 +136,6 @@ def _world(name: str, place: tuple[int, ...]) -> str:
 
 
 def relation_problems(given: Mapping[str, NDArray[Any]], n: int, m: int, steps: int) -> list[str]:
-    """Return the problems between values that are all in their ranges."""
     words, plan = given["memory.words"], given.get("memory.plan")
     goes_on = ~given["memory.pending"] & (given["now.steps"] >= steps)
     wrong = {
@@ -154,7 +152,6 @@ def relation_problems(given: Mapping[str, NDArray[Any]], n: int, m: int, steps: 
 
 
 def problems_of(backend: Backend, given: Mapping[str, Any]) -> list[str]:
-    """Return why ``given`` cannot take the place of these worlds; either may have more room."""
     arrays, (_, m, fields) = changing_arrays(backend), backend.geometry.field.rois.shape
     optional = set(WAYS) if WAYS_IN in arrays and len(given.keys() & set(WAYS)) != 1 else set()
     problems = [
@@ -181,14 +178,12 @@ def problems_of(backend: Backend, given: Mapping[str, Any]) -> list[str]:
 
 
 def _room(given: Mapping[str, Any]) -> tuple[int, int]:
-    """The numbers of edges and waypoints of saved tables."""
     shapes: list[Any] = [getattr(given.get(name), "shape", ()) for name in (EDGES, WAYS[0])]
     edges, waypoints = (shape[1] if len(shape) == 3 else 0 for shape in shapes)
     return edges, waypoints
 
 
 def restore_worlds(backend: Backend, saved: Mapping[str, NDArray[Any]]) -> None:
-    """Restore saved worlds; raise a ProblemsError with all problems before anything changes."""
     given = {
         name: np.asarray(array) if isinstance(array, np.ndarray) else array  # masked ones too
         for name, array in saved.items()

@@ -25,7 +25,7 @@ import numpy as np
 
 from mbn_marl.engine.arguments import call_reset, worlds_of
 from mbn_marl.engine.mdp import events, failures, revisits, rewards
-from mbn_marl.engine.mdp.disturbances import change_gust, disturbs_actions, send_all
+from mbn_marl.engine.mdp.disturbances import change_gust, disturbs_actions, send
 from mbn_marl.engine.mdp.drawn_numbers import numbers_of
 from mbn_marl.engine.mdp.dynamics import keep_heading, propose_move
 from mbn_marl.engine.mdp.failures import ABSENT, may_rest, status_of
@@ -36,8 +36,8 @@ from mbn_marl.jit.compile import compiled, entry_point, returning_views
 from mbn_marl.jit.functions import clip, column, is_set, select
 from mbn_marl.jit.intrinsics import prefetch
 
+# Worlds per block.
 BLOCK = 256
-"""Worlds per block."""
 
 # Indices of worlds are unsigned, which spares the loops Python's negative indexing.
 ZERO, ONE = np.uint64(0), np.uint64(1)
@@ -149,7 +149,6 @@ def mark_visits(p, g, now, out, i, lo, hi):
 
 @compiled
 def record_positions(mem, now, lo, hi):
-    """Append the robots' positions to the trails; absent robots were nowhere."""
     n = np.uint64(now.x.shape[0])
     last = np.uint64(mem.trail.shape[1]) - n
     for i in range(n):
@@ -182,7 +181,6 @@ def hash_positions(mem, now, out, to, i, lo, hi):
 
 @compiled
 def pass_time(p, mem, now, lo, hi):
-    """The robots have moved: the step counts, and the gust changes."""
     for w in range(lo, hi):
         now.steps[w] += 1
     change_gust(p, mem, now, lo, hi)
@@ -286,7 +284,7 @@ def give_rewards(p, now, out, to, lo, hi):
 
 @compiled
 def close_step(p, mem, out, w):
-    """How the episode of world w changes after a step: any of the bits ``ENDED``, ``RESTARTS``."""
+    """Return the bits ``ENDED`` and ``RESTARTS`` of the change of world w's episode."""
     if mem.pending[w] & (p.autoreset == NEXT_STEP):
         mem.pending[w] = False
         clear_output(p, out, w)
@@ -327,18 +325,12 @@ def autoreset(arguments, lo, hi):
     return ended
 
 
-class Written(NamedTuple):
-    out: Any
-    to: Any
-
-
 @compiled
-def move_robots(p, g, mem, now, written, actions, lo, hi):
+def move_robots(p, g, mem, now, out, to, actions, lo, hi):
     """Steps 1 to 3 and 5: each robot goes where it can, and visits; then the time passes."""
-    out, to = written
     taken = actions
     if disturbs_actions(now):
-        send_all(p, mem, now, actions, lo, hi)
+        send(p, mem, now, actions, lo, hi)
         taken = mem.acted
     for i in range(now.x.shape[0]):
         if may_rest(now):
@@ -377,7 +369,7 @@ def step_worlds(arguments, actions, first, end):
     lo, ended = np.uint64(first), 0
     while lo < np.uint64(end):
         hi = min(lo + np.uint64(BLOCK), np.uint64(end))
-        move_robots(p, g, mem, now, Written(out, to), actions, lo, hi)
+        move_robots(p, g, mem, now, out, to, actions, lo, hi)
         # No observation depends on a reward. Written here, observations give the filter's words,
         # which ``move_robots`` has begun to fetch and ``score_step`` reads, the time to arrive.
         observe(p, g, mem, now, lo, hi, to.tile, out.observations)

@@ -20,10 +20,10 @@ from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.generator.layout import Tables, make_tables, scratch_rows
 from mbn_marl.field.generator.sampler import field_of
 
+# Safety distances between starts: discs about them are polygons, and they are rounded.
 MARGIN = 1.02
-"""Safety distances between starts: discs about them are polygons, and they are rounded."""
+# The fields of the worlds in turn, or what draws one for each episode.
 FieldSource = tuple[Field, ...] | FieldSampler
-"""The fields of the worlds in turn, or what draws one for each episode."""
 
 
 class Sizes(NamedTuple):
@@ -54,11 +54,9 @@ def make_geometry(
     teams_vary: bool = False,
     given_starts: Array | None = None,
 ) -> Geometry:
-    """Tables of one field for all worlds, or of each world's own: world w has ``w % len(source)``.
-
-    ROIs and edges are padded to the largest field. ``given_starts`` (n, 2) take the place of all
-    the fields' own. The tables of a sampler are empty until a world is reset.
-    """
+    """Tables of one field for all worlds, or a field for each: world w has ``w % len(source)``."""
+    # ROIs and edges are padded to the largest field. ``given_starts`` (n, 2) take the place of all
+    # the fields' own. The tables of a sampler are empty until a world is reset.
     sampler = source if isinstance(source, FieldSampler) else None
     fields = () if isinstance(source, FieldSampler) else source
     sizes = sizes_of(source)
@@ -121,8 +119,7 @@ def sampler_numbers(sampler: FieldSampler) -> Array:
 def starts_of(
     field: Field, n: int, config: NavigationConfig, teams_vary: bool, given: Array | None
 ) -> Array:
-    """The starts of the team in a field: those given, or its own, at most n."""
-    # Teams that do not vary may be larger than that if they start at random. Where that fails, the
+    # Teams that do not vary may be larger than that if they start at random. If that fails, the
     # others start at points of the field that are at least the safety distance from those before.
     # As many as ``field_problems`` allows have discs of that radius that leave some of the field.
     starts = field.starts[:n] if given is None else given
@@ -164,10 +161,8 @@ def column_of(
 
 
 def with_room(g: Geometry, edges: int, waypoints: int, xp: ModuleType) -> Geometry:
-    """The tables with room for so many edges and waypoints in all columns, if there is less.
-
-    ``xp`` is numpy or torch. New edges are a vertex of each field.
-    """
+    """The tables with room for so many edges and waypoints in all columns, if there is less."""
+    # ``xp`` is numpy or torch. New edges are a vertex of each field.
     field, paths = g.field, g.paths
     if (missing := edges - field.edges.shape[1]) > 0:
         vertex = xp.concatenate([field.edges[:2, :1], field.edges[:2, :1]])
@@ -175,11 +170,8 @@ def with_room(g: Geometry, edges: int, waypoints: int, xp: ModuleType) -> Geomet
             field=field._replace(edges=xp.concatenate([field.edges, *[vertex] * missing], axis=1))
         )
     if (missing := waypoints - paths.waypoints.shape[1]) > 0:
-        nodes, known, empty = (
-            field.rois.shape[1] + waypoints,
-            len(paths.legs),
-            0 * field.rois[:1, :1],
-        )
+        nodes, known = field.rois.shape[1] + waypoints, len(paths.legs)
+        empty = 0 * field.rois[:1, :1]
         legs = xp.concatenate([xp.concatenate([empty] * nodes, axis=1)] * nodes)
         legs[:known, :known] = paths.legs
         none = xp.concatenate([empty, empty])

@@ -1,8 +1,8 @@
 """A world whose robots move elsewhere, such as in a simulator, and are judged by the same rules."""
 
-# A step of the engine has two halves here, made of its own passes. The first turns actions into the
-# velocities that the MDP would have next; something else then moves the robots. The second takes
-# their measured positions and does the rest of the step: ROIs, memory, collisions, rewards,
+# A step of the engine has two halves here, made of the engine's passes. The first turns actions
+# into the velocities that the MDP would have next; something else then moves the robots. The second
+# takes their measured positions and does the rest of the step: ROIs, memory, collisions, rewards,
 # observations.
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 from mbn_marl.engine import step
 from mbn_marl.engine.arguments import worlds_of
 from mbn_marl.engine.batch import BatchEngine
-from mbn_marl.engine.mdp.disturbances import disturbs_actions, send_all
+from mbn_marl.engine.mdp.disturbances import disturbs_actions, send
 from mbn_marl.engine.mdp.drawn_numbers import V_CLIP, limits_in, limits_of
 from mbn_marl.engine.mdp.dynamics import keep_heading, propose_move
 from mbn_marl.engine.mdp.failures import WORKS, fail, may_rest, move_failed, status_of
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import RELEASED, WALL
 from mbn_marl.errors import ActionError, ConfigError, StepError
-from mbn_marl.jit.compile import compiled, entry_point
+from mbn_marl.jit.compile import entry_point
 from mbn_marl.jit.functions import clip, select
 
 LO, HI = np.uint64(0), np.uint64(1)
@@ -58,9 +58,6 @@ class TrackedWorld:
 
     Raises:
         ConfigError: another engine, or the limit is not above 0; all problems are listed.
-
-    Source:
-        The rules are those of ``docs/mdp.md``, "One step, in this order".
     """
 
     def __init__(self, engine: BatchEngine, speed_limit: float | None = None) -> None:
@@ -123,14 +120,9 @@ class TrackedWorld:
 def choose_velocities(arguments, actions, velocities, allowed):
     """Steps 1 and 2: write the next velocities (1, n, 2), and whether their ends are inside."""
     p, g, mem, now, _, _, to = worlds_of(arguments)
-    put_velocities(p, g, mem, now, to, actions, velocities, allowed)
-
-
-@compiled
-def put_velocities(p, g, mem, now, to, actions, velocities, allowed):
     taken = actions
     if disturbs_actions(now):
-        send_all(p, mem, now, actions, LO, HI)
+        send(p, mem, now, actions, LO, HI)
         taken = mem.acted
     for i in range(now.x.shape[0]):
         if may_rest(now):

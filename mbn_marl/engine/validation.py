@@ -17,18 +17,17 @@ from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.generator.layout import MILLI, STARTS_APART
 
+# The least distance of starts that are drawn, units.
 SPACING = STARTS_APART / MILLI
-"""The least distance of starts that are drawn, units."""
 Autoreset = bool | Literal["disabled", "same_step", "next_step"]
 Device = Literal["cpu", "cuda"]
 
 MOST_WORLDS = 2**31 - 1
+# Units by which a start that was once rounded to float32 may miss what is allowed.
 ROUNDING = 1e-3
-"""Units by which a start that was once rounded to float32 may miss what is allowed."""
 
 
 def autoreset_mode(value: Autoreset) -> str:
-    """Return the name of an autoreset mode; ``True`` is same-step, ``False`` disabled."""
     mode = ("same_step" if value else "disabled") if isinstance(value, bool) else value
     if mode not in AUTORESET_MODES:
         allowed = ", ".join(map(repr, (True, False, *AUTORESET_MODES)))
@@ -47,7 +46,6 @@ def check_setup(
     starts: NDArray[Any] | None,
     first_world: int,
 ) -> None:
-    """Raise a ConfigError that lists every problem of fields, team and batch."""
     problems = [*_number_problems("seed", seed), *_number_problems("first_world", first_world)]
     if device not in get_args(Device):
         problems.append(f"device: {device!r}; allowed: {', '.join(map(repr, get_args(Device)))}")
@@ -110,7 +108,6 @@ def set_field_problems(
     teams_vary: bool,
     starts: NDArray[Any] | None,
 ) -> list[str]:
-    """Return why a field and starts cannot be those of a world of these sizes."""
     n = sizes.robots
     if starts is not None and (wrong := _given_starts_problems(starts, config, n)):
         return wrong
@@ -125,7 +122,6 @@ def set_field_problems(
 
 
 def set_sampler_problems(sampler: FieldSampler, sizes: Sizes, teams_vary: bool) -> list[str]:
-    """Return why a sampler cannot draw the fields of worlds of these sizes."""
     new, robots = sizes_of(sampler), sizes.robots
     least = 1 if teams_vary else robots
     problems = [
@@ -145,11 +141,7 @@ def set_sampler_problems(sampler: FieldSampler, sizes: Sizes, teams_vary: bool) 
 
 
 def as_array(value: Any) -> NDArray[Any]:
-    """Return an array; a tensor without its graph, bfloat16 as float32.
-
-    Raises:
-        TypeError, ValueError: it is no array.
-    """
+    """Return an array; a tensor without its graph, bfloat16 as float32."""
     if isinstance(value, np.ndarray) or not hasattr(value, "detach"):
         return np.asarray(value)
     tensor = value.detach().cpu()
@@ -157,7 +149,6 @@ def as_array(value: Any) -> NDArray[Any]:
 
 
 def option_problems(options: object, allowed: Sequence[str]) -> list[str]:
-    """Return the problems of the options of a reset."""
     if options is None:
         return []
     if not isinstance(options, Mapping):
@@ -170,7 +161,6 @@ def option_problems(options: object, allowed: Sequence[str]) -> list[str]:
 
 
 def reset_problems(seed: object, episode: object) -> list[str]:
-    """Return the problems of the arguments of a reset."""
     problems = [] if seed is None else _number_problems("seed", seed)
     problems += _number_problems("episode", episode)
     if seed is None and not problems and episode != 0:
@@ -215,7 +205,6 @@ def _sampler_problems(
 
 
 def as_starts(starts: ArrayLike | None) -> NDArray[Any] | None:
-    """Return given starts as an array of any shape; raise a ConfigError if they make none."""
     try:
         return None if starts is None else np.asarray(starts)
     except ValueError as error:

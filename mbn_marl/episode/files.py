@@ -115,7 +115,6 @@ class EpisodeFile(_Strict):
 
 
 def save_episode(episode: Episode, path: str | Path) -> Path:
-    """Write ``episode`` atomically to ``path``, which has to end in ``.json``, and return that."""
     path = Path(path)
     if path.suffix.lower() != ".json":
         raise MbnError(f"{path}: the file name has to end in .json")
@@ -196,7 +195,6 @@ def to_file(episode: Episode) -> EpisodeFile:
 
 
 def _from_file(content: EpisodeFile, name: str) -> Episode:
-    """Return the episode in the file ``name``; raise ``EpisodeError`` with what does not fit."""
     place = "field"
     try:
         field = fields.Field(**content.field)

@@ -70,7 +70,6 @@ class EpisodeLog:
 
 
 def of_team(config: NavigationConfig, n: int) -> NavigationConfig:
-    """Return the configuration of a world that has only the first n robots."""
     update: dict[str, Any] = {"n_robots": n}
     for name in ("dynamics", *LIMITS):
         value = getattr(config, name)

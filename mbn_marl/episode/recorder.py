@@ -81,7 +81,6 @@ class EpisodeRecorder:
                 self._begin()
 
     def _begin(self) -> None:
-        """Begin a tape if the world is at the start of an episode."""
         engine, world = self._engine, self._world
         moment = engine.snapshot(world)
         self._recording = bool(engine.running[world]) and moment.step == 0

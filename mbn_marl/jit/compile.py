@@ -27,8 +27,8 @@ if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
     raise MbnError("NUMBA_DISABLE_JIT: set; allowed: unset, since the engine runs only compiled")
 
 LOG = logging.getLogger("mbn_marl")
+# Compiled code runs without the GIL, divides as NumPy does, and is not for C to call.
 COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-"""Compiled code runs without the GIL, divides as NumPy does, and is not for C to call."""
 
 ANNOUNCEMENT = (
     "mbn_marl: compiling %s for these settings, once per machine: about 5 to 30 seconds of CPU. "
@@ -37,16 +37,15 @@ ANNOUNCEMENT = (
 DAMAGED = "mbn_marl: %s is damaged, so its code is compiled again: %s"
 NOT_USED = "mbn_marl: NUMBA_CACHE_DIR=%s cannot be written, so compiled code in it is not used"
 NOT_KEPT = "mbn_marl: %s cannot be written, so compiled code is not kept: %s"
+# The environment variable that turns ``PartCompiler`` off, if it is set.
 PLAIN = "MBN_PLAIN_JIT"
-"""The environment variable that turns ``PartCompiler`` off, if it is set."""
+# The versions of Numba that the engine was run with; others are tried first.
 PROVEN = ("0.61.", "0.68.")
-"""The versions of Numba that the engine was run with; others are tried first."""
+# The files, and the folders, that compiled functions and the numbers in them come from.
 SOURCES_OF = ("config.py", "jit", "engine", "field")
-"""The files, and the folders, that compiled functions and the numbers in them come from."""
 
 
 def digest_of_sources(package: Path) -> str:
-    """Return a hash of all source files of ``SOURCES_OF``, and of their places."""
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         place = path.relative_to(package)
@@ -59,11 +58,8 @@ SOURCES = digest_of_sources(Path(__file__).parents[1])
 
 
 class _Announcer(event.Listener):
-    """Warns, once in a process, that functions of this package are compiled.
-
-    Meanwhile nothing collects garbage, which would take a tenth of the time and find none.
-    """
-
+    # It warns once in a process. Meanwhile nothing collects garbage, which would take a tenth of
+    # the time and find none.
     announced, depth, collects = False, 0, True
 
     def on_start(self, event: Any) -> None:
@@ -92,12 +88,10 @@ event.register("numba:compile", _Announcer())  # type: ignore[no-untyped-call]
 
 
 class Rule(CPUDispatcher):
-    """A compiled function that becomes part of the compiled functions that call it.
+    """A compiled function that becomes part of the compiled functions that call it."""
 
-    It has no machine code and no wrappers, which take Numba longer than all the rest. A call from
-    Python, by a test or a curious reader, compiles the function alone.
-    """
-
+    # It has no machine code and no wrappers, which take Numba longer than all the rest. A call from
+    # Python, by a test or a curious reader, compiles the function alone.
     returns_views = False
 
     def get_call_template(self, arguments: Any, keywords: Any) -> Any:
@@ -121,7 +115,6 @@ class Rule(CPUDispatcher):
 
     @cached_property
     def alone(self) -> Any:
-        """The function, compiled alone."""
         return _cached(self.py_func, _nrt=self.returns_views)
 
 
@@ -142,7 +135,6 @@ def compiler_of_rules() -> type[CompilerBase]:
 
 
 def _prove(compiler: type[CompilerBase]) -> None:
-    """Compile a rule, and what calls it; raise if that does not work."""
     rule = _rule(lambda pair, k: pair[0][k] + pair[1], compiler)
     result = numba.njit(lambda pair: rule(pair, 1))((np.arange(3.0), 2.0))
     if result != 3.0:
@@ -170,7 +162,6 @@ def returning_views(function: Callable[..., Any]) -> Any:
 
 
 def generated(name: str, source: str, as_rule: Callable[..., Any] = compiled, **names: Any) -> Any:
-    """Compile the function ``name`` of a generated source text."""
     module = {"__name__": __name__, **names}
     exec(source, module)
     return as_rule(module[name])
@@ -198,7 +189,6 @@ def parallel_entry_point(function: Callable[..., Any]) -> Any:
 
 
 def address_of(function: Any, *arguments: Any) -> int:
-    """Return the address of an entry point's machine code for arguments of these types."""
     kinds = tuple(map(numba.typeof, arguments))
     function.compile(kinds)
     result = function.overloads[kinds]
@@ -235,11 +225,9 @@ class CodeFiles(IndexDataCacheFile):
 
 
 class CodeCache(FunctionCache):
-    """Numba's cache of a function; a program runs without it where it cannot be written.
+    """Numba's cache of a function; a program runs without it where it cannot be written."""
 
-    Code is renewed when its ``stamp`` changes; without one, when the function's file does.
-    """
-
+    # Code is renewed when its ``stamp`` changes; without one, when the function's file does.
     def __init__(self, function: Callable[..., Any], stamp: Any = None) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
         ours, theirs = stamp, self._cache_file._source_stamp

@@ -1,8 +1,7 @@
-"""Features that are on or off for a whole engine: code of those that are off is not compiled.
+"""Features that are on or off for a whole engine: code of those that are off is not compiled."""
 
-Numba compiles a function once for each set of argument types, and the arrays of a feature that is
-off have another number of dimensions. So the types tell which features are on.
-"""
+# Numba compiles a function once for each set of argument types, and the arrays of a feature that is
+# off have another number of dimensions. So the types tell which features are on.
 
 from __future__ import annotations
 
@@ -15,12 +14,10 @@ from numba.core.types import Literal
 
 
 class Feature:
-    """A test of arrays' dimensions, which compiled code knows before it is compiled.
+    """A test of arrays' dimensions, which compiled code knows before it is compiled."""
 
-    ``may_rest = Feature(lambda ep: ep.status.ndim == 2)`` lets Numba leave out one of the branches
-    of ``if may_rest(ep):``.
-    """
-
+    # ``may_rest = Feature(lambda ep: ep.status.ndim == 2)`` lets Numba leave out one of the
+    # branches of ``if may_rest(ep):``.
     def __init__(self, test: Callable[..., bool]) -> None:
         self.test = test
 
@@ -40,23 +37,18 @@ class _Kind:
 
 
 class _Parts(NamedTuple):
-    """The type of a tuple that is made in place."""
-
     types: list[Any]
 
 
 class Settle(Rewrite):
-    """Replaces what the types tell by its value; Numba prunes the branches afterwards.
+    """Replaces what the types tell by its value; Numba prunes the branches afterwards."""
 
-    That are calls of a ``Feature``, and fields of named tuples whose types are literals. The IR of
-    Numba and that of numba-cuda are two modules, so classes are found by the code's own.
-    """
-
+    # That are calls of a ``Feature``, and fields of named tuples whose types are literals. The IR
+    # of Numba and that of numba-cuda are two modules, so classes are found by the code's module.
     def __init__(self, state: Any) -> None:
         self.kinds = state.args
 
     def match(self, code: Any, block: Any, *_: Any) -> bool:
-        """Find what is settled in a block."""
         self.ir, self.code, self.block = sys.modules[type(block).__module__], code, block
         self.settled: list[tuple[Any, Any]] = []
         for assignment in block.find_insts(self.ir.Assign):
@@ -70,7 +62,6 @@ class Settle(Rewrite):
         return bool(self.settled)
 
     def apply(self) -> Any:
-        """Write the values into the block."""
         for assignment, value in self.settled:
             assignment.value = self.ir.Const(value, assignment.loc)
             self.code._definitions[assignment.target.name] = [assignment.value]
@@ -79,7 +70,8 @@ class Settle(Rewrite):
     def _settle_call(self, assignment: Any) -> None:
         call = assignment.value
         called = self._definition(call.func)
-        feature = getattr(called, "value", None)
+        # Numba's expressions raise a KeyError, not an AttributeError, for a name that they lack.
+        feature = called.value if isinstance(called, (self.ir.Global, self.ir.FreeVar)) else None
         if isinstance(feature, Feature):
             kinds = [self._kind_of(part) for part in call.args]
             if None in kinds:

@@ -1,12 +1,11 @@
-"""Sine, cosine, tangent, exponential and length, the same bits on every processor.
+"""Sine, cosine, tangent, exponential and length, the same bits on every processor."""
 
-They are made from + - x / and the square root, which all processors round alike; libraries
-differ in the last bit of them. Here they are float64 whatever the engine's precision, and no two
-operations are fused: the series of the sine, up to its term of degree 21, about the nearest point
-where the function is 0. Absolute errors are below 4e-16, a tangent's relative to its square.
-The exponential is its series for a part of x, squared. The length is a root, corrected once
-(specification.md, "Arithmetic").
-"""
+# They are made from + - x / and the square root, which all processors round alike; libraries
+# differ in the last bit of them. Here they are float64 whatever the engine's precision, and no two
+# operations are fused: the series of the sine, up to its term of degree 21, about the nearest point
+# where the function is 0. Absolute errors are below 4e-16, a tangent's relative to its square.
+# The exponential is its series for a part of x, squared. The length is a root, corrected once
+# (specification.md, "Arithmetic").
 
 from __future__ import annotations
 
@@ -29,19 +28,16 @@ def select(condition, a, b):
 
 @compiled
 def clip(value, low, high):
-    """``value`` limited to ``[low, high]``."""
     return min(max(value, low), high)
 
 
 @compiled
 def is_set(word, flag):
-    """Return whether ``flag`` is set in ``word``."""
     return (word & flag) != 0
 
 
 @compiled
 def count_bits(word):
-    """The number of bits that are set in a non-negative integer."""
     count = 0
     while word != 0:
         word &= word - 1
@@ -64,12 +60,13 @@ def _horner(coefficients: list[float]) -> str:
 
 
 SINE = [(-1.0) ** k / math.factorial(2 * k + 1) for k in range(11)]
+# ``sin(a) / a`` from ``x = a^2``, for a in [-pi/2, pi/2].
 sine_series = generated("series", f"def series(x):\n    return {_horner(SINE)}\n")
-"""``sin(a) / a`` from ``x = a^2``, for a in [-pi/2, pi/2]."""
 
+# ``exp(x)`` for x in [-1.25, 0], from powers of x.
 EXPONENTIAL = [1.0 / math.factorial(k) for k in range(23)]
-"""``exp(x)`` for x in [-1.25, 0], from powers of x."""
 HALVINGS, LEAST = 5, -40.0
+# ``exp(x)`` for x of at most 0, float64, to 3e-14 of it; below -40 it is that of -40.
 exponential = generated(
     "exponential",
     "def exponential(x):\n"
@@ -77,12 +74,10 @@ exponential = generated(
     f"    power = {_horner(EXPONENTIAL)}\n"
     f"    for _ in range({HALVINGS}):\n        power *= power\n    return power\n",
 )
-"""``exp(x)`` for x of at most 0, float64, to 3e-14 of it; below -40 it is that of -40."""
 
 
 @compiled
 def sine(angle):
-    """The sine of an angle in [-pi, pi], float64."""
     x = np.float64(angle)
     x = select(x > HALF_PI, PI - x, select(x < -HALF_PI, -PI - x, x))
     return clip(x * sine_series(x * x), -1.0, 1.0)
@@ -90,20 +85,17 @@ def sine(angle):
 
 @compiled
 def cosine(angle):
-    """The cosine of an angle in [-pi, pi], float64."""
     x = HALF_PI - abs(np.float64(angle))
     return clip(x * sine_series(x * x), -1.0, 1.0)
 
 
 @compiled
 def tangent(angle):
-    """The tangent of an angle nearer to 0 than pi/2, float64."""
     return sine(angle) / cosine(angle)
 
 
 @compiled
 def turned(heading, turn, pi):
-    """``h + turn``, in [-pi, pi)."""
     angle, circle = heading + turn, pi + pi
     turns = angle / circle
     turns = clip(turns + select(turns > 0, HALF, -HALF), -MANY, MANY)
@@ -113,10 +105,8 @@ def turned(heading, turn, pi):
 
 @compiled
 def length(x, y):
-    """``sqrt(x^2 + y^2)``, float64: the root, corrected once.
-
-    Borges, "Algorithm 1014: An Improved Algorithm for hypot(x, y)", without fused operations.
-    """
+    """``sqrt(x^2 + y^2)``, float64: the root, corrected once."""
+    # Borges, "Algorithm 1014: An Improved Algorithm for hypot(x, y)", without fused operations.
     a, b = abs(np.float64(x)), abs(np.float64(y))
     most, least = max(a, b), min(a, b)
     root = math.sqrt(most * most + least * least)

@@ -32,16 +32,13 @@ from numba.core.untyped_passes import (
 
 
 class Whole(tuple[Any, ...]):
-    """The types of arguments that are passed as they are.
+    """The types of arguments that are passed as they are."""
 
-    Numba takes arguments apart, down to each length of an array: some hundred numbers for the
-    engine's named tuples. To pack and unpack them would be most of a rule's code.
-    """
+    # Numba takes arguments apart, down to each length of an array: some hundred numbers for the
+    # engine's named tuples. To pack and unpack them would be most of a rule's code.
 
 
 class _WholePacker:
-    """Numba's ``ArgPacker`` for arguments that are passed as they are."""
-
     def __init__(self, models: Any, kinds: Whole) -> None:
         self.argument_types = tuple(models.lookup(kind).get_value_type() for kind in kinds)
 
@@ -66,12 +63,10 @@ cpu_target.target_context.get_arg_packer = _packer  # both ends of a call ask it
 
 
 class _PartLowering(Lower):
-    """Writes the code of a rule, with arguments as they are and no memory for what has one value.
+    """Writes a rule's code, with arguments as they are and no memory for what has one value."""
 
-    Numba keeps a variable that several basic blocks use in memory, so that each use of a named
-    tuple of arrays copies all of it, and the optimiser has to take the copies apart.
-    """
-
+    # Numba keeps a variable that several basic blocks use in memory, so that each use of a named
+    # tuple of arrays copies all of it, and the optimiser has to take the copies apart.
     def __init__(self, context: Any, library: Any, function: Any, *rest: Any, **named: Any) -> None:
         function.argtypes = Whole(function.argtypes)
         super().__init__(context, library, function, *rest, **named)  # type: ignore[no-untyped-call]
@@ -126,19 +121,17 @@ class _Part(JITCodeLibrary):
         self._finalized = True
 
 
+# Numba's passes, without those for closures, contexts, exceptions, loops over tuples and array
+# expressions, which rules do not have.
 PASSES = (
     *(TranslateByteCode, FixupArgs, IRProcessing),
     *(RewriteSemanticConstants, GenericRewrites, DeadBranchPrune, ReconstructSSA),
     *(NopythonTypeInference, PreLowerStripPhis),
     *(IRLegalization, _LowerPart, NoPythonBackend),
 )
-"""Numba's passes, without those for closures, contexts, exceptions, loops over tuples and array
-expressions, which rules do not have."""
 
 
 class PartCompiler(CompilerBase):
-    """Compiles a rule into a part."""
-
     def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
         part = _Part(target.codegen(), "part")  # type: ignore[no-untyped-call]
         super().__init__(typing, target, part, *rest)  # type: ignore[no-untyped-call]

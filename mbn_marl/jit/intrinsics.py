@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
@@ -10,17 +11,20 @@ from numba.core.cpu import CPUContext
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
+# Calls of an instruction lack the typing context, which Numba's own type would ask for.
+instruction: Callable[[Callable[..., Any]], Any] = intrinsic
 FOR_WRITING, KEEP, DATA = 1, 3, 1
 SIDE = 8
 HALVINGS = 3  # of SIDE, down to 1
 FLOATS = ir.VectorType(ir.FloatType(), SIDE)
 INDICES = ir.VectorType(ir.IntType(32), SIDE)
+# Indices into two joined vectors that interleave their lower or upper halves.
 LOWER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) for k in range(SIDE)])
 UPPER = ir.Constant(INDICES, [k // 2 + SIDE * (k % 2) + SIDE // 2 for k in range(SIDE)])
-"""Indices into two joined vectors that interleave their lower or upper halves."""
 
 
-def _prefetch(typing: Any, array: Any, row: Any, column: Any) -> Any:
+@instruction
+def prefetch(typing: Any, array: Any, row: Any, column: Any) -> Any:
     """Begin to fetch ``array[row, column]``, which is going to be changed; on CUDA, do nothing."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -43,20 +47,17 @@ def _prefetch(typing: Any, array: Any, row: Any, column: Any) -> Any:
     return types.void(array, row, column), generate
 
 
-prefetch: Any = intrinsic(_prefetch)
-"""``prefetch(array, row, column)``, for compiled functions; it changes nothing but the time."""
-
-
-def _call_step(typing: Any, address: Any, store: Any, actions: Any, lo: Any, hi: Any) -> Any:
-    """Call the ``step_worlds`` at ``address`` with the other arguments; return how many ended."""
+@instruction
+def call_step(typing: Any, address: Any, store: Any, actions: Any, lo: Any, hi: Any) -> Any:
+    """Call the ``step_worlds`` at ``address``, which its caller is then not compiled with."""
     kinds = (store, actions, lo, hi)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         calls = context.call_conv
         kind = calls.get_function_type(types.int64, kinds)
         function = builder.inttoptr(arguments[0], kind.as_pointer())
-        called = calls.call_function(builder, function, types.int64, kinds, arguments[1:])
-        status, ended = called
+        given = arguments[1:]
+        status, ended = calls.call_function(builder, function, types.int64, kinds, given)
         with cgutils.if_unlikely(builder, status.is_error):
             calls.return_status_propagate(builder, status)
         return ended
@@ -64,12 +65,9 @@ def _call_step(typing: Any, address: Any, store: Any, actions: Any, lo: Any, hi:
     return types.int64(address, *kinds), generate
 
 
-call_step: Any = intrinsic(_call_step)
-"""``call_step(address, store, actions, lo, hi)``: what calls it need not be compiled with it."""
-
-
-def _transpose(typing: Any, tile: Any, k: Any, column: Any, rows: Any, w: Any, i: Any) -> Any:
-    """``rows[w + b, i, k + a] = tile[k + a, column + b]`` for a and b from 0 to ``SIDE`` - 1."""
+@instruction
+def transpose(typing: Any, tile: Any, k: Any, column: Any, rows: Any, w: Any, i: Any) -> Any:
+    # Arrays are float32, with a contiguous last axis; indices are unsigned, the square within both.
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         tile, k, column, rows, w, i = arguments
@@ -97,8 +95,3 @@ def _transpose(typing: Any, tile: Any, k: Any, column: Any, rows: Any, w: Any, i
         return context.get_dummy_value()
 
     return types.void(tile, k, column, rows, w, i), generate
-
-
-transpose: Any = intrinsic(_transpose)
-"""``transpose(tile, k, column, rows, w, i)``, for compiled functions and float32 arrays whose last
-axis is contiguous; the indices are unsigned and the square lies within both arrays."""

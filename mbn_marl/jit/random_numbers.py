@@ -1,9 +1,8 @@
-"""Counter-based random numbers: each is a hash of what it is for, so no state is carried along.
+"""Counter-based random numbers: each is a hash of what it is for, so no state is carried along."""
 
-The key is (seed, world, episode, purpose, counter). A world therefore draws the same numbers
-whatever the batch size, the thread count or the device. The mixer is the finaliser of SplitMix64
-(Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014).
-"""
+# The key is (seed, world, episode, purpose, counter). A world therefore draws the same numbers
+# whatever the batch size, the thread count or the device. The mixer is the finaliser of SplitMix64
+# (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014).
 
 from __future__ import annotations
 
@@ -27,15 +26,15 @@ FOR_SIGHT = np.uint64(6)
 FOR_NUMBERS = np.uint64(7)
 FOR_FIELDS = np.uint64(8)
 
+# The start of the 40 bits that are counted; below them are two numbers of twelve bits.
 HIGH, LOW, TWELVE = np.uint64(24), np.uint64(0xFFF), np.uint64(12)
-"""The start of the 40 bits that are counted; below them are two numbers of twelve bits."""
 PAIRS, QUADS = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333)
 BYTES, EACH_BYTE = np.uint64(0x0F0F0F0F0F0F0F0F), np.uint64(0x0101010101010101)
 BY_1, BY_2, BY_4, TOP_BYTE = np.uint64(1), np.uint64(2), np.uint64(4), np.uint64(56)
 PER_ONE, CENTRE = np.int32(4096), np.int32(21 * 4096 - 1)
 TO_ONES = np.float32(1 / 4096)
+# Of the sum of bits, so that variance and kurtosis are those of the normal distribution.
 LINEAR, CUBIC = np.float32(0.31164049), np.float32(6.6003307e-5)
-"""Of the sum of bits, so that variance and kurtosis are those of the normal distribution."""
 
 
 @compiled
@@ -54,7 +53,6 @@ def world_number(p, w):
 
 @compiled
 def episode_key(seed, world, episode):
-    """The key of all random numbers of an episode."""
     key = mix(np.uint64(seed) + GOLDEN)
     key = mix(key + np.uint64(world) + GOLDEN)
     return mix(key + np.uint64(episode) + GOLDEN)
@@ -62,13 +60,11 @@ def episode_key(seed, world, episode):
 
 @compiled
 def stream_of(key, purpose):
-    """The key of one of the streams of an episode with this key."""
     return mix(key + purpose + GOLDEN)
 
 
 @compiled
 def stream_key(seed, world, episode, purpose):
-    """The key of one stream of random numbers."""
     return stream_of(episode_key(seed, world, episode), purpose)
 
 
@@ -79,24 +75,17 @@ def uniform(key, counter):
 
 
 @compiled
-def count_ones(bits):
-    """The number of bits that are set, of 64."""
-    bits -= (bits >> BY_1) & PAIRS
-    bits = (bits & QUADS) + ((bits >> BY_2) & QUADS)
-    bits = (bits + (bits >> BY_4)) & BYTES
-    return (bits * EACH_BYTE) >> TOP_BYTE
-
-
-@compiled
 def normal(key, counter):
-    """The ``counter``-th number of a stream: float32, normal with mean 0 and variance 1.
-
-    The ones among 40 random bits are binomial; two random numbers of twelve bits fill the gaps
-    between whole numbers, and a cubic corrects the kurtosis. The distribution function differs from
-    the normal one by less than 1.3e-4, and no number is above 7.2.
-    """
+    """The ``counter``-th number of a stream: float32, normal with mean 0 and variance 1."""
+    # The ones among 40 random bits are binomial; two random numbers of twelve bits fill the gaps
+    # between whole numbers, and a cubic corrects the kurtosis. The distribution function differs
+    # from the normal one by less than 1.3e-4, and no number is above 7.2.
     bits = mix(key + np.uint64(counter) * GOLDEN)
-    ones = np.int32(count_ones(bits >> HIGH))
+    counts = bits >> HIGH
+    counts -= (counts >> BY_1) & PAIRS
+    counts = (counts & QUADS) + ((counts >> BY_2) & QUADS)
+    counts = (counts + (counts >> BY_4)) & BYTES
+    ones = np.int32((counts * EACH_BYTE) >> TOP_BYTE)
     fill = np.int32((bits & LOW) + ((bits >> TWELVE) & LOW))
     t = np.float32(ones * PER_ONE + fill - CENTRE) * TO_ONES
     return t * (LINEAR + CUBIC * (t * t))

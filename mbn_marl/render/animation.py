@@ -23,11 +23,7 @@ _EVEN = 2  # an MP4's sides are a multiple of this: colour is stored for every s
 
 
 class Mp4Writer(AbstractContextManager["Mp4Writer"]):
-    """Writes an ``.mp4`` frame by frame, in a ``with`` block or until it is closed.
-
-    The file is replaced only once the new one is complete; ``fps`` is 0.01 to 120. A wrong name,
-    number or frame is an ``MbnError``.
-    """
+    """Writes an ``.mp4``, of 0.01 to 120 frames per second, in a ``with`` block or until closed."""
 
     def __init__(self, path: str | Path, fps: float = 20.0) -> None:
         self.path, self._fps = _checked(path, ".mp4", fps), fps
@@ -56,7 +52,6 @@ class Mp4Writer(AbstractContextManager["Mp4Writer"]):
 
 
 def write_mp4(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.0) -> Path:
-    """Write ``frames`` to ``path``, and return that; arguments and errors as of ``Mp4Writer``."""
     with Mp4Writer(path, fps) as writer:
         for frame in frames:
             writer.add(np.asarray(frame))
@@ -66,10 +61,7 @@ def write_mp4(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.
 
 
 def write_gif(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.0) -> Path:
-    """Write ``frames`` to a ``.gif`` that loops, and return its path, as ``write_mp4`` does.
-
-    ``fps`` is 0.01 to 50; the delay is rounded to 0.01 s.
-    """
+    """Write ``frames`` to a ``.gif`` that loops; ``fps`` is 0.01 to 50, delays are whole 0.01 s."""
     path, image = _checked(path, ".gif", fps), _load("PIL.Image")
     packed: list[bytes] = []
     shapes: list[tuple[int, ...]] = []
@@ -117,7 +109,6 @@ def _load(name: str) -> Any:
 
 
 def _check_shape(frame: NDArray[Any], shapes: list[tuple[int, ...]], path: Path) -> None:
-    """Add the shape of the next frame of ``path`` to those before it, and check them."""
     place = f"{path}: frame {len(shapes)}"
     if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
         raise MbnError(f"{place} is {frame.dtype} {frame.shape}, not uint8 (height, width, 3)")

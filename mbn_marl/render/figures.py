@@ -1,7 +1,6 @@
-"""Figures of fields and episodes for print and reports, and the files of all figures.
+"""Figures of fields and episodes for print and reports, and the files of all figures."""
 
-They are matplotlib figures without pyplot: no display, no global state, nothing to close.
-"""
+# They are matplotlib figures without pyplot: no display, no global state, nothing to close.
 
 from __future__ import annotations
 
@@ -23,10 +22,8 @@ from mbn_marl.render import maps, style
 
 FORMATS = (".png", ".pdf", ".svg")
 
-_WIDTH, _HEIGHTS = (
-    4.6,
-    (3.0, 5.6),
-)  # of a figure of one field, its least and greatest height, inches
+# The width of a figure of one field, its least and greatest height, inches.
+_WIDTH, _HEIGHTS = 4.6, (3.0, 5.6)
 _PANEL_WIDTH, _PAIR_WIDTH, _FIELD_WIDTH = 3.2, 2.6, 1.9  # of panels with one or two episodes, none
 _TITLES = 0.6  # height of a panel's title and axis label, inches
 _ROBOT: dict[str, Any] = {"marker": "o", "ls": "none", "color": style.FAINT_INK, "ms": 8}
@@ -34,7 +31,6 @@ _ROBOT: dict[str, Any] = {"marker": "o", "ls": "none", "color": style.FAINT_INK,
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def field_figure(field: Field) -> Figure:
-    """Draw a field with its holes, its numbered ROIs, and the starts."""
     figure, axes = _canvas(field, field.name)
     maps.draw_field(axes, field)
     maps.draw_robots(axes, field.starts)
@@ -44,7 +40,6 @@ def field_figure(field: Field) -> Figure:
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def fields_figure(fields: Sequence[Field]) -> Figure:
-    """Draw fields, at least one, side by side with ROIs, starts and a scale bar each."""
     figure, grid = _panels("fields", len(fields), 5, _FIELD_WIDTH, 2.4)
     for axes, field in zip(grid, fields, strict=True):
         maps.draw_field(axes, field, numbered=False)
@@ -57,11 +52,8 @@ def fields_figure(fields: Sequence[Field]) -> Figure:
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def trajectory_figure(last: Snapshot, title: str | None = None) -> Figure:
-    """Draw the paths of one episode up to its ``last`` snapshot, by default titled by its field.
-
-    A hollow circle marks a start, a numbered disc the end of a path; the dots between are one
-    step apart, so that their distance shows the speed.
-    """
+    # A hollow circle marks a start, a numbered disc the end of a path; the dots between are one
+    # step apart, so that their distance shows the speed.
     figure, axes = _canvas(last.field, last.field.name if title is None else title)
     maps.draw_field(axes, last.field, visited=last.visited, roi_radius=last.roi_radius)
     maps.draw_paths(axes, last)
@@ -78,7 +70,6 @@ def trajectory_figure(last: Snapshot, title: str | None = None) -> Figure:
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def trajectory_panels(lasts: Mapping[str, Snapshot], *, columns: int = 3) -> Figure:
-    """Draw the paths of episodes, at least one, by the titles of their panels."""
     sides = [np.ptp(last.field.vertices, axis=0) for last in lasts.values()]
     tall = _PANEL_WIDTH * max((height / width for width, height in sides), default=1.0)
     figure, grid = _panels("panels", len(lasts), columns, _PANEL_WIDTH, tall + _TITLES)
@@ -95,10 +86,7 @@ def trajectory_panels(lasts: Mapping[str, Snapshot], *, columns: int = 3) -> Fig
 def overlay_panels(
     episodes: Mapping[str, tuple[Snapshot, Snapshot]], names: tuple[str, str]
 ) -> Figure:
-    """Draw pairs of episodes over each other, at least one, by the titles of their panels.
-
-    ``names`` are those of the first, which is dashed, and of the second, whose visits are shown.
-    """
+    """Draw pairs of episodes over each other: the first is dashed, visits are the second's."""
 
     def outcome(last: Snapshot) -> str:
         failure = "collision" if last.collision else f"{int(last.visited.sum())} ROIs"
@@ -121,7 +109,6 @@ def overlay_panels(
 
 
 def check_name(path: Path) -> Path:
-    """Check that a figure can have this name; return ``path``."""
     if path.suffix.lower() not in FORMATS:
         raise MbnError(f"{path}: the file name has to end in {', '.join(FORMATS)}")
     return path
@@ -146,7 +133,6 @@ def _canvas(field: Field, title: str) -> tuple[Figure, Axes]:
 
 
 def _explain(figure: Figure, looks: Mapping[str, Mapping[str, Any]]) -> None:
-    """Add a legend of lines' looks by their labels."""
     handles = [Line2D([], [], label=label, **look) for label, look in looks.items()]
     columns = len(handles) if len(handles) <= 4 else 3
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, handlelength=1.2)
@@ -155,7 +141,6 @@ def _explain(figure: Figure, looks: Mapping[str, Mapping[str, Any]]) -> None:
 def _panels(
     what: str, count: int, columns: int, width: float, height: float
 ) -> tuple[Figure, list[Axes]]:
-    """Make a figure of ``count`` panels, each ``width`` x ``height`` inches."""
     if not count:
         raise MbnError(f"{what}: there is none to draw")
     columns = min(columns, count)
@@ -170,7 +155,6 @@ def _panels(
 
 
 def _draw_place(axes: Axes, last: Snapshot, title: str, *, numbered: bool) -> None:
-    """Draw the field, the title of two lines, and the wind beside it, unless the title names it."""
     radius = last.roi_radius
     maps.draw_field(axes, last.field, visited=last.visited, roi_radius=radius, numbered=numbered)
     maps.draw_wind(axes, last, height=20.5, named="wind " not in title)

@@ -40,7 +40,6 @@ def draw_field(
     roi_radius: float = ROI_RADIUS,
     numbered: bool = True,
 ) -> None:
-    """Draw a field and its ROIs, ``visited`` (m,) or not, and fit the axes to it."""
     axes.set_facecolor(style.OBSTACLE)
     ground = orient(field.polygon)  # holes turn against the outline, so that they stay empty
     rings = [Path(np.array(ring.coords)) for ring in (ground.exterior, *ground.interiors)]
@@ -97,7 +96,6 @@ def replace_ticks(axes: Axes, field: Field) -> None:
 
 
 def draw_paths(axes: Axes, last: Snapshot) -> None:
-    """Draw the paths of one episode up to its ``last`` snapshot, and its end."""
     for index in range(last.trail.shape[1]):
         colour = style.robot_colour(index)
         x, y = last.trail[:, index].T
@@ -131,12 +129,8 @@ def draw_light_paths(axes: Axes, last: Snapshot, *, dashed: bool) -> None:
 
 
 def draw_robots(
-    axes: Axes,
-    positions: NDArray[Any],
-    size: float = 9.5,
-    headings: NDArray[Any] | None = None,
+    axes: Axes, positions: NDArray[Any], size: float = 9.5, headings: NDArray[Any] | None = None
 ) -> None:
-    """Draw robots at ``positions`` (n, 2), units, as numbered discs, ``size`` points wide."""
     for index, (x, y) in enumerate(positions.tolist()):
         colour = style.robot_colour(index)
         if headings is not None:
@@ -164,17 +158,14 @@ def _draw_nose(
 
 
 def mark_failed(axes: Axes, last: Snapshot) -> None:
-    """Draw crosses over the robots that have failed."""
     if last.failed.any():
         axes.plot(*last.trail[-1][last.failed].T, ms=11, mew=1.8, zorder=4.5, **CROSS)
 
 
 def draw_wind(axes: Axes, last: Snapshot, height: float = 9.5, *, named: bool = True) -> None:
-    """Draw the winds of an episode ``height`` points over the top right corner, if any.
-
-    One is an arrow the way that it blows; gusts are a line for the strongest of each twelfth of a
-    turn. The greatest speed is written beside them if it is ``named``.
-    """
+    """Draw the winds of an episode ``height`` points over the top right corner, if any."""
+    # One is an arrow the way that it blows; gusts are a line for the strongest of each twelfth of a
+    # turn. The greatest speed is written beside them if it is ``named``.
     winds = np.unique(last.winds, axis=0)
     speeds = np.linalg.norm(winds, axis=1)
     if speeds.max() < style.CALM:
@@ -205,7 +196,6 @@ def draw_wind(axes: Axes, last: Snapshot, height: float = 9.5, *, named: bool = 
 
 
 def roi_marker(visited: bool) -> dict[str, Any]:
-    """Return the look of an ROI: hollow until visited, then filled and ticked."""
     if visited:
         return {"marker": "$\\checkmark$", "ms": 7, "color": style.ROI_VISITED, "ls": "none"}
     return {"marker": "o", "ms": 4, "mfc": "none", "color": style.ROI_OPEN, "ls": "none"}

@@ -25,11 +25,7 @@ _FONT, _SMALL_FONT = 18.0, 13.0
 
 
 class Scene:
-    """Draws snapshots at one size; markers can be read, and have circles to scale round them.
-
-    Arguments as :class:`~mbn_marl.render.Viewer`.
-    """
-
+    # Markers are of a size that can be read, and have circles to scale round them.
     def __init__(self, size: tuple[int, int], own: int | None = None, keys: str = "") -> None:
         pygame.font.init()
         self.size, self._own, self._keys = size, own, keys
@@ -39,7 +35,6 @@ class Scene:
         self._look: tuple[object, ...] = ()
 
     def pixels(self, snapshot: Snapshot) -> NDArray[np.uint8]:
-        """Draw ``snapshot`` as a new array (height, width, 3)."""
         picture = pygame.surfarray.array3d(self.draw(snapshot))
         return np.ascontiguousarray(picture.swapaxes(0, 1))
 
@@ -103,7 +98,6 @@ class Scene:
         self._frame.blit(label, label.get_rect(midright=end))
 
     def _extend_trails(self, snapshot: Snapshot) -> None:
-        """Draw the new part of the trails, or all of another episode's."""
         trail = np.array(snapshot.trail, np.float64)
         known = len(self._drawn)
         if not np.array_equal(trail[:known], self._drawn):
@@ -121,7 +115,6 @@ class Scene:
         self._drawn = trail
 
     def _draw_nose(self, index: int, centre: NDArray[np.float64], heading: float) -> None:
-        """Draw a point that sticks out from below a robot's disc the way that it faces."""
         ahead = np.array([math.cos(heading), -math.sin(heading)]) * _ROBOT * self._ui
         side = ahead[::-1] * (0.75, -0.75)
         corners = [centre + 2.0 * ahead, centre + 0.6 * ahead + side, centre + 0.6 * ahead - side]
@@ -144,7 +137,6 @@ class Scene:
             self._write("success", style.WHITE, (column, rows[1]), style.SUCCESS)
 
     def _write(self, text: str, colour: str, place: tuple[int, int], badge: str = "") -> None:
-        """Write ``text`` with its top left corner at ``place``, on a ``badge`` of that colour."""
         picture = self._font.render(text, True, style.rgb(colour))
         box = picture.get_rect(topleft=place)
         if badge:

@@ -1,8 +1,7 @@
-"""The pieces of the picture as smooth pygame surfaces: terrain, ROIs, robots, the wind arrow.
+"""The pieces of the picture as smooth pygame surfaces: terrain, ROIs, robots, the wind arrow."""
 
-Each is drawn several times too large and scaled down, which smooths every edge. Sprites are
-premultiplied by their alpha, so that their edges stay clean: blit them with BLEND_PREMULTIPLIED.
-"""
+# Each is drawn several times too large and scaled down, which smooths every edge. Sprites are
+# premultiplied by their alpha, so that their edges stay clean: blit them with BLEND_PREMULTIPLIED.
 
 from __future__ import annotations
 
@@ -55,7 +54,6 @@ def blank(size: tuple[int, int]) -> pygame.Surface:
 def terrain(
     field: Field, view: Viewport, size: tuple[int, int], line_width: float
 ) -> pygame.Surface:
-    """Draw the ground of ``field`` with its holes, outlined, on the obstacle colour; pixels."""
     fine = blank((size[0] * _FINE, size[1] * _FINE))
     fine.fill(style.rgb(style.OBSTACLE))
     width, outline = max(round(line_width * _FINE), 1), style.rgb(style.OUTLINE)
@@ -70,7 +68,6 @@ def terrain(
 
 
 def roi(visited: bool, marker: float, reach: float) -> pygame.Surface:
-    """Draw an ROI: a marker, filled and ticked once visited, in its circle of ``reach`` pixels."""
     colour = style.rgb(style.ROI_VISITED if visited else style.ROI_OPEN)
     white = style.rgb(style.WHITE)
 
@@ -118,7 +115,6 @@ def robot(index: int, radius: float, safety: float, *, own: bool = False) -> pyg
 
 
 def wind_arrow(wind: tuple[float, float], radius: float) -> pygame.Surface:
-    """Draw an arrow in a ring of ``radius`` pixels that points the way the wind blows, y up."""
     angle = math.atan2(-wind[1], wind[0])
     cos, sin = math.cos(angle), math.sin(angle)
 

@@ -1,8 +1,7 @@
-"""The one look of everything drawn, on screen and on paper; every colour is named here only.
+"""The one look of everything drawn, on screen and on paper; every colour is named here only."""
 
-The hues are the colour-blind safe set of Okabe and Ito, "Color Universal Design" (2008), and four
-more that stay apart for every kind of colour blindness. Colour never carries a meaning alone.
-"""
+# The hues are the colour-blind safe set of Okabe and Ito, "Color Universal Design" (2008), and four
+# more that stay apart for every kind of colour blindness. Colour never carries a meaning alone.
 
 from __future__ import annotations
 
@@ -101,18 +100,15 @@ def series(index: int) -> SeriesStyle:
 
 
 def robot_colour(index: int) -> str:
-    """Return the colour of robot ``index`` (0, 1, ...); the eleventh has that of the first."""
     return ROBOTS[index % len(ROBOTS)]
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Return ``"#RRGGBB"`` as three numbers, 0 to 255."""
     red, green, blue = bytes.fromhex(colour[1:])
     return red, green, blue
 
 
 def ink_on(colour: str) -> str:
-    """Return black or white, the one that contrasts more with ``colour``."""
     # Both are equal at a relative luminance of 0.179 (WCAG 2.1, "contrast ratio").
     linear = [
         c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4

@@ -32,11 +32,6 @@ class Viewer:
         caption: of the window.
         own: the index of the robot to mark as the user's; ``None`` for none.
         keys: a line below the field, about the keys; none if empty.
-
-    Attributes:
-        closed: whether the window was closed, by its button, by Escape or by :meth:`close`.
-        pressed: the names of the keys that were pressed since the frame before, in order.
-        held: the names of the keys that are held down.
     """
 
     def __init__(
@@ -60,17 +55,14 @@ class Viewer:
         self.render_mode, self.size = render_mode, size
         self.frame_rate, self.caption = frame_rate, caption
         self.own, self.keys = own, keys
-        self.closed = False
-        self.pressed: list[str] = []
+        self.closed = False  # by the window's button, by Escape or by ``close``
+        self.pressed: list[str] = []  # keys, since the frame before
         self.held: set[str] = set()
         self._scene: Scene | None = None
         self._window: pygame.Surface | None = None
 
     def draw(self, snapshot: Snapshot) -> NDArray[np.uint8] | None:
-        """Return a new (height, width, 3) uint8 array, or ``None`` and show it in a window.
-
-        A window that was closed stays closed; without a display it is a ``DisplayError``.
-        """
+        """Return a new (height, width, 3) uint8 array, or ``None`` and show it in a window."""
         if self._scene is None:
             os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
             try:
@@ -88,7 +80,6 @@ class Viewer:
         return None
 
     def close(self) -> None:
-        """Close the window, if there is one."""
         self.closed = True
         if self._window is not None:
             import pygame
@@ -97,7 +88,6 @@ class Viewer:
             pygame.display.quit()
 
     def _show(self, frame: pygame.Surface) -> None:
-        """Bring ``frame`` to the window, answer its events and keep to the frame rate."""
         import pygame
 
         if self._window is None:
@@ -131,7 +121,6 @@ class Viewer:
 
 
 def size_problems(name: str, size: object) -> list[str]:
-    """Return the problems of a picture's ``size``, if any."""
     sides = size if isinstance(size, (tuple, list)) else ()
     if [isinstance(side, int) and side >= SMALLEST_SIDE for side in sides] == [True, True]:
         return []

@@ -43,7 +43,6 @@ def replay_page(episodes: Sequence[Episode], title: str | None = None) -> str:
 
 
 def episodes_data(episodes: Sequence[Episode]) -> str:
-    """Return what the player needs of the episodes, as JSON for a script element."""
     found = [to_file(one).model_dump(mode="json", exclude={"actions"}) for one in episodes]
     return json.dumps(found, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
@@ -53,12 +52,10 @@ def _static(name: str) -> str:
 
 
 def _fill(template: str, values: Mapping[str, str]) -> str:
-    """Return ``template`` with every ``{{name}}`` replaced, once."""
     return re.sub(r"{{(\w+)}}", lambda match: values[match[1]], template)
 
 
 def _variables(theme: int) -> list[str]:
-    """Return the colours of the light or the dark page, 0 or 1, as CSS variables."""
     named = {name: themes[theme] for name, themes in style.PAGE.items()}
     robots = [name for name in named if name.startswith("robot-")]
     named |= {f"ink-on-{name}": style.ink_on(named[name]) for name in robots}

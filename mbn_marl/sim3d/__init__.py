@@ -3,12 +3,4 @@
 from mbn_marl.sim3d.deployment import Deployment, deploy
 from mbn_marl.sim3d.simulator import Mission, Motion, PlaneSimulator, Scale, Simulator
 
-__all__ = [
-    "Deployment",
-    "Mission",
-    "Motion",
-    "PlaneSimulator",
-    "Scale",
-    "Simulator",
-    "deploy",
-]
+__all__ = ["Deployment", "Mission", "Motion", "PlaneSimulator", "Scale", "Simulator", "deploy"]

@@ -16,15 +16,9 @@ _PROBE = 1.0  # seconds that finding out why nobody answers may take
 
 
 class CoppeliaLink:
-    """CoppeliaSim's remote API through its official client, which would wait for ever.
-
-    Any call may take ``timeout`` seconds, and raises ``SimulatorError`` if it fails.
-
-    Attributes:
-        lost: a call got no usable answer; the link is then closed.
-        interrupted: Ctrl-C cut a call short; the link has to :meth:`connect` again.
-    """
-
+    # CoppeliaSim's official client would wait for ever. Here any call may take ``timeout`` seconds.
+    # If one gets no usable answer, the link is ``lost``, and closed. If Ctrl-C cuts one short, it
+    # is ``interrupted``, and has to connect again.
     def __init__(self, host: str, port: int, timeout: float) -> None:
         problems = []
         if not 1 <= port <= 65535:
@@ -48,7 +42,6 @@ class CoppeliaLink:
         return getattr(self._sim, name)
 
     def connect(self) -> None:
-        """Connect as a client that CoppeliaSim has not seen."""
         self._client = self._new_client()
         self._client.socket = self._socket = _PatientSocket(self._client.socket)
         self.lost = self.interrupted = False
@@ -83,7 +76,6 @@ class CoppeliaLink:
 
     @contextmanager
     def _exchange(self, what: str, *, opening: bool = False) -> Iterator[None]:
-        """Give a call of the client its time, and its errors a meaning."""
         if self.lost or self.interrupted:
             raise SimulatorError(f"{self._address}: the connection is closed")
         self._socket.deadline = monotonic() + self.timeout

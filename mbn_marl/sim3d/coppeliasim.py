@@ -38,7 +38,7 @@ class CoppeliaSimulator(Simulator):
         timeout: seconds, above 0, that CoppeliaSim may take for any answer.
         scale: of the MDP in the scene.
         model: the vehicles' model: a file in CoppeliaSim's folder of resources, or an absolute path
-            on its machine. It has to follow an object of its own with the alias ``target``.
+            on its machine. It has to follow an object in it with the alias ``target``.
     """
 
     has_wind: ClassVar[bool] = False
@@ -73,7 +73,6 @@ class CoppeliaSimulator(Simulator):
             raise
 
     def _build(self, mission: Mission) -> None:
-        """Make the scenery and the vehicles, each at its target, and start the simulation."""
         if not self._is_stopped():
             raise SimulatorError("CoppeliaSim: it is simulating something already; stop that first")
         self._frame = frame = Frame(mission, self._scale.metres)
@@ -181,7 +180,6 @@ class CoppeliaSimulator(Simulator):
         self._paint(prop.name, prop.colour)
 
     def _add_vehicle(self, robot: int, place: Sequence[float]) -> tuple[int, int]:
-        """Load a vehicle at a ``place``, metres; return its handle and that of its target."""
         call, constant, model = self._link.call, self._link.constant, self._model
         if not (model.startswith("/") or model[1:2] == ":"):
             model = f"{call('getStringParam', constant('stringparam_resourcesdir'))}/{model}"
@@ -214,7 +212,6 @@ class CoppeliaSimulator(Simulator):
             link.call("setShapeColor", shape, "", part, value)
 
     def _clear(self) -> None:
-        """Stop the simulation that was started, and remove what was made and still exists."""
         link = self._link
         if self._started:
             if not self._is_stopped():

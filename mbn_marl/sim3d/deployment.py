@@ -71,15 +71,8 @@ def deploy(
     """Let a policy act on a simulator's vehicles for one episode, with mean actions.
 
     The engine's own code makes observations from what was measured, turns forces into the
-    velocities to command, and judges where the vehicles are.
-
-    Args:
-        policy: acts.
-        field: of the episode.
-        settings: of the environment.
-        simulator: moves the robots; it is reset, and left open.
-        seed: key of all random numbers.
-        source: the name of the policy.
+    velocities to command, and judges where the vehicles are. The simulator is reset, and left open;
+    ``seed`` is the key of all random numbers, ``source`` the name of the policy.
 
     Raises:
         ConfigError: field, settings and simulator do not fit together.

@@ -32,10 +32,6 @@ class MujocoSimulator(Simulator):
         vehicle: ``"quadrotor"``, ``"balancer"``, or a vehicle.
         scale: of the world.
         film: films the first mission; ``None`` for no film.
-
-    Attributes:
-        model: MuJoCo's model of the mission.
-        data: MuJoCo's state of it.
     """
 
     def __init__(

@@ -16,7 +16,7 @@ ARM = 0.15  # of each rotor's offset along x and along y, metres
 REACTION = 0.016  # torque about the rotor's axis per thrust, metres
 FULL_THRUST = 6.0  # of one rotor, N; hovering takes 2.45
 ROTOR_LAG = 0.02  # time constant of a rotor's thrust, seconds
-# Where each rotor is along x and y, in arms, and the sign of its reaction.
+# The place of each rotor along x and y, in arms, and the sign of its reaction.
 ROTORS = ((1, 1, -1), (1, -1, 1), (-1, -1, -1), (-1, 1, 1))
 HOVER = MASS * GRAVITY / len(ROTORS)
 
@@ -26,7 +26,7 @@ HEIGHT_GAIN, CLIMB_GAIN = 9.0, 6.0  # of the vertical acceleration, 1/s^2 and 1/
 ATTITUDE_RATE, DAMPING = 16.0, 0.9  # rad/s and a ratio: the attitude is a second-order system
 STEEPEST = 3.0  # m/s^2, the most horizontal acceleration: a tilt of 17 degrees
 SINKING = 0.2  # m/s, of one that lands
-LANDED = 0.06  # metres above the ground, below which it has landed: it stands on its battery
+LANDED = 0.06  # metres above the ground, below which it has landed: it rests on its battery
 
 
 class Quadrotor(Vehicle):
@@ -83,7 +83,9 @@ class Quadrotor(Vehicle):
         climb -= CLIMB_GAIN * senses.velocities[:, 2]
         push = np.column_stack([level, climb + GRAVITY])
         thrust = MASS * np.einsum("ni,ni->n", push, senses.rotations[:, :, 2])
-        error, rates = attitude_error(senses.rotations, wanted_attitude(push)), senses.rates
+        relative = wanted_attitude(push).transpose(0, 2, 1) @ senses.rotations
+        skew = (relative - relative.transpose(0, 2, 1)) / 2.0
+        error, rates = skew[:, (2, 0, 1), (1, 2, 0)], senses.rates
         turning = -(ATTITUDE_RATE**2) * error - 2.0 * DAMPING * ATTITUDE_RATE * rates
         gyroscopic = INERTIA_STEPS * rates[:, (1, 2, 0)] * rates[:, (2, 0, 1)]
         torque = INERTIA * turning + gyroscopic
@@ -102,10 +104,3 @@ def wanted_attitude(push: Array) -> Array:
     wanted[:, :, 1] = np.stack([np.zeros_like(x), z / level, -y / level], axis=1)
     wanted[:, :, 2] = up
     return wanted
-
-
-def attitude_error(rotations: Array, wanted: Array) -> Array:
-    """Return half the skew part of ``wanted^T rotations``, (n, 3, 3), as vectors (n, 3)."""
-    relative = wanted.transpose(0, 2, 1) @ rotations
-    skew = (relative - relative.transpose(0, 2, 1)) / 2.0
-    return skew[:, (2, 0, 1), (1, 2, 0)]

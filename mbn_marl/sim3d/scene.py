@@ -19,7 +19,6 @@ from mbn_marl.sim3d.vehicle import GRAVITY, Array, Vehicle, add
 
 
 def rgba(colour: str, alpha: float = 1.0) -> str:
-    """Return ``"#RRGGBB"`` as MJCF has it."""
     return " ".join(f"{channel / 255.0:.4g}" for channel in style.rgb(colour)) + f" {alpha:g}"
 
 
@@ -49,11 +48,8 @@ class Prop(NamedTuple):
 
     name: str
     colour: str  # as MJCF has it
-    place: tuple[float, float, float] = (
-        0.0,
-        0.0,
-        0.0,
-    )  # of the middle or the mesh's origin, metres
+    # Of the middle or the mesh's origin, metres.
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
     size: tuple[float, float, float] = (0.0, 0.0, 0.0)  # along x, y, z, metres
     turn: float = 0.0  # about z, radians
     kind: str = "cuboid"
@@ -102,7 +98,6 @@ def edges(ring: shapely.LinearRing) -> Iterator[tuple[float, tuple[float, float]
 
 
 def corn(ground: shapely.Polygon) -> Mesh:
-    """Return corn in rows along y as one mesh; every plant is a little different."""
     wider = max(1.0, (ground.area / (ROW_SPACING * PLANT_SPACING * MOST_PLANTS)) ** 0.5)
     left, bottom, right, top = ground.bounds
     rows = np.arange(left, right, ROW_SPACING * wider) + ROW_SPACING * wider / 2.0
@@ -172,10 +167,8 @@ _COMMON = f"""
 
 
 def build_scene(frame: Frame, vehicle: Vehicle, timestep: float) -> str:
-    """Return the MJCF of a mission with a ``vehicle`` at each start; ``timestep`` in seconds.
-
-    Robot i is the body ``robot_i``, ROI j the geoms ``weed_j`` and ``area_j``.
-    """
+    """Return the MJCF of a mission with a ``vehicle`` at each start; ``timestep`` in seconds."""
+    # Robot i is the body ``robot_i``, ROI j the geoms ``weed_j`` and ``area_j``.
     root = ElementTree.fromstring(_COMMON)
     root.set("model", frame.name)
     part = {child.tag: child for child in root}
@@ -211,7 +204,6 @@ def build_scene(frame: Frame, vehicle: Vehicle, timestep: float) -> str:
 
 
 def _add_obstacles(assets: Element, world: Element, ground: shapely.Polygon) -> None:
-    """Add the holes as solid blocks: a prism for each triangle that they are made of."""
     holes = shapely.MultiPolygon([shapely.Polygon(ring) for ring in ground.interiors])
     for number, triangle in enumerate(shapely.constrained_delaunay_triangles(holes).geoms):
         base = np.array(triangle.exterior.coords[:3])
@@ -222,7 +214,6 @@ def _add_obstacles(assets: Element, world: Element, ground: shapely.Polygon) -> 
 
 
 def _add_cameras(world: Element, frame: Frame) -> None:
-    """Add one across the field from the south, and one from above, north up."""
     x, y = frame.size / 2.0
     tall = 0.92 * math.tan(math.radians(FIELD_OF_VIEW / 2.0))  # half the picture, a metre away
     wide = tall * 4.0 / 3.0

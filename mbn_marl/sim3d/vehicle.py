@@ -25,8 +25,6 @@ class Senses(NamedTuple):
 
 
 class Vehicle(ABC):
-    """One kind of vehicle; n of them have one controller."""
-
     height: ClassVar[float]  #: of its origin above the ground when it works, metres
     mass: ClassVar[float]  #: of all its parts, kg
     resting: ClassVar[tuple[float, ...]]  #: of each motor, the control that keeps it at rest
@@ -42,10 +40,8 @@ class Vehicle(ABC):
 
     @abstractmethod
     def control(self, senses: Senses, commands: Array, parked: Flags) -> Array:
-        """Motor controls (n, motors) that make the velocities ``commands``, (n, 2) m/s.
-
-        Those that are ``parked``, (n,), have failed: one that flies lands, and none turns.
-        """
+        """Motor controls (n, motors) that make the velocities ``commands``, (n, 2) m/s."""
+        # Those that are ``parked``, (n,), have failed: one that flies lands, and none turns.
 
 
 def add(parent: Element, tag: str, **attributes: Any) -> Element:
@@ -55,9 +51,8 @@ def add(parent: Element, tag: str, **attributes: Any) -> Element:
         parts = [value] if isinstance(value, str) else np.atleast_1d(value).ravel().tolist()
         return " ".join(part if isinstance(part, str) else f"{part:.9g}" for part in parts)
 
-    return SubElement(
-        parent, tag, {name.rstrip("_"): text(attributes[name]) for name in attributes}
-    )
+    given = {name.rstrip("_"): text(value) for name, value in attributes.items()}
+    return SubElement(parent, tag, given)
 
 
 def add_air_shape(body: Element, centre: float, radius: float, half_height: float) -> None:

@@ -17,7 +17,6 @@ Refusal = Callable[[Sequence[str]], str]
 def refusal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Refusal:
-    """Run ``mbn`` in the temporary folder; it has to refuse, without a traceback; its message."""
     monkeypatch.chdir(tmp_path)
 
     def run(words: Sequence[str]) -> str:

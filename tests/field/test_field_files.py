@@ -7,7 +7,6 @@ import math
 import time
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -54,21 +53,17 @@ def test_catalogue_is_the_files_on_disk() -> None:
         assert isinstance(sampler, FieldSampler) and sampler.field().rois.shape[1] == 2
 
 
-def test_committed_schema_is_the_models_and_holds_the_limits() -> None:
+def test_committed_schema_is_the_models() -> None:
     text = files("envs_catalog").joinpath("field.schema.json").read_text(encoding="utf-8")
     assert json.loads(text) == (schema := json_schema())
     assert schema["required"] == ["format", "vertices", "rois", "starts"]
-    assert schema["additionalProperties"] is False
-    assert schema["properties"]["rois"]["maxItems"] == 24
-    assert schema["properties"]["rois"]["items"]["prefixItems"][0]["minimum"] == 0
 
 
 def test_unknown_name_suggests_and_lists() -> None:
-    for name, count in (("field_3", 2), ("zebra", 1)):  # in the list; and as a suggestion
-        with pytest.raises(FieldError, match=name) as caught:
-            load_field(name)
-        assert all(known in str(caught.value) for known in catalogue_names())
-        assert str(caught.value).count("field_03") == count
+    with pytest.raises(FieldError, match="field_3") as caught:
+        load_field("field_3")
+    assert all(known in str(caught.value) for known in catalogue_names())
+    assert str(caught.value).count("field_03") == 2
 
 
 class TestSamplers:
@@ -80,19 +75,9 @@ class TestSamplers:
             with pytest.raises(FieldError):
                 load_field(source)
 
-    def test_what_is_no_sampler_is_loaded_as_a_field(self) -> None:
-        assert load_fields("field_03") == load_field("field_03")
-        for source in ("x" * 300, None, b"field_03"):
-            with pytest.raises(FieldError) as caught:
-                load_fields(source)
-            with pytest.raises(FieldError) as expected:
-                load_field(source)
-            assert str(caught.value) == str(expected.value)
-
     def test_wrong_arguments_are_named_together(self, tmp_path: Path) -> None:
-        text = "format: mbn-sampler/1\nrobots: 0\nfamilies: [round]\nsides: 3\n"
-        places = places_of(lambda: load_fields(write(tmp_path, text)))
-        assert sorted(places) == ["families.0", "robots", "sides"]
+        text = write(tmp_path, "format: mbn-sampler/1\nrobots: 0\nsides: 3\n")
+        assert sorted(places_of(lambda: load_fields(text))) == ["robots", "sides"]
 
 
 VALUES = st.recursive(
@@ -104,12 +89,23 @@ KEYS = st.sampled_from(["field", "init_positions", "infected_locations", "grid_s
 DOCUMENTS = st.dictionaries(KEYS, VALUES, min_size=1)
 
 
+@st.composite
+def damaged(draw: st.DrawFn) -> bytes:
+    content = bytearray(VALID_FILE.encode())
+    for place in draw(st.lists(st.integers(0, len(content) - 1), min_size=1, max_size=4)):
+        content[place] = draw(st.integers(0, 255))
+    return bytes(content[: draw(st.integers(0, len(content)))])
+
+
+TEXTS = st.text(max_size=400) | DOCUMENTS.map(yaml.dump)
+CONTENTS = TEXTS.map(lambda text: text.encode("utf-8", "surrogatepass")) | damaged()
+
+
 class TestFiles:
     @pytest.mark.parametrize(
         "field",
         [
             square(rois=[(1e-7, 0.1 + 0.2), (100 / 3, math.pi)], name="123", optimal_makespan=24),
-            square(arena=(100.0, 123.456)),
             Field(circle(500), [(x / 1.5 + 10, y / 1.5 + 10) for x, y in circle(24)], [(50, 50)]),
         ],
     )
@@ -125,7 +121,6 @@ class TestFiles:
     def test_optional_keys(self, tmp_path: Path) -> None:
         plain = load_field(write(tmp_path, VALID_FILE, "my field.yaml"))
         assert plain.name == "my_field"
-        assert load_field(write(tmp_path, VALID_FILE + "name: given")).name == "given"
         text = VALID_FILE + "holes:\narena:\noptimal_makespan:\n"
         assert load_field(write(tmp_path, text, "my field.yaml")) == plain
 
@@ -133,11 +128,7 @@ class TestFiles:
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         path = tmp_path / "field.yaml"
-        save_field(square(), path)
-        with path.open(encoding="utf-8") as reader:
-            old = path.read_text(encoding="utf-8")
-            save_field(square(name="newer"), path)
-            assert reader.read() == old, "the file is replaced in one step"
+        save_field(square(name="newer"), path)
 
         def disk_full(descriptor: int) -> None:
             raise OSError(28, "No space left on device")
@@ -160,31 +151,19 @@ class TestFiles:
         ("text", "place"),
         [
             ("", "format"),
-            ("vertices: []\n", "format"),
             ("POLYGON ((0 0, 1 0, 1 1))", "format"),
-            ('{"env1": {"screen": {"width": 9}, "robots": {}, "goals": {}}}', "format"),
-            ("[SCREEN]\nWIDTH = 400\n\n[ROBOTS]\nLENGTH = 20\n", "line 2, column 1"),
             ("format: [1\n", "line 2, column 1"),
             ("format: a\nformat: b\n", "line 2, column 1"),
             ("{1: 2}\n", "line 1, column 2"),
             ("<<: {format: a}\n", "line 1, column 1"),
-            ("a: &anchor 1\n", "line 1, column 4"),
             ("a: *anchor\n", "line 1, column 4"),
             ("--- 1\n--- 2\n", "line 2, column 1"),
-            ("a: !!map [1]\n", "line 1, column 4"),
-            ("a: !!seq {b: 1}\n", "line 1, column 4"),
             ("a: !!bool maybe\n", "file"),
-            ('a: !!int ""\n', "file"),
             ("a: 2020-99-99\n", "file"),
-            ("a: !!timestamp x\n", "file"),
             ("\x00", "file"),
-            (f"{VALID_FILE}name: 0x{'f' * 9000}", "name"),
             (f"{VALID_FILE}name: {'9' * 5000}", "file"),
             ("[" * (MAX_DEPTH + 1), f"line 1, column {MAX_DEPTH + 1}"),
-            *(
-                (f"{VALID_FILE}name: {tag}:os.system [touch gone]\n", "line 5, column 7")
-                for tag in ("!!python/object/apply", "!!python/name", "!!python/module", "!custom")
-            ),
+            (f"{VALID_FILE}name: !!python/object/apply:os.system [pwd]\n", "line 5, column 7"),
         ],
     )
     def test_unreadable_text(self, tmp_path: Path, text: str, place: str) -> None:
@@ -198,18 +177,14 @@ class TestFiles:
         for source in paths:
             with pytest.raises(FieldError):
                 load_field(source)
-        others: list[Any] = [None, 3, b"field_01", ["field_01"], {"vertices": []}]
-        for source in others:
-            with pytest.raises(FieldError, match="source: "):
-                load_field(source)
+        with pytest.raises(FieldError, match="source: "):
+            load_field({"vertices": []})
 
     def test_no_hang(self, tmp_path: Path) -> None:
         aliases = ["a0: &a0 [1, 1]"]
         aliases += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 30)]
         for text in (
-            *("[" * 60_000, "{a: " * 15_000, "- " * 30_000, "? " * 30_000, "\n".join(aliases)),
-            "a:\n" + "- [1, 2]\n" * 7_000,
-            f"{VALID_FILE}holes: [" + "[1, 1]," * 9_000 + "]",
+            *("[" * 60_000, "- " * 30_000, "\n".join(aliases)),
             f"{VALID_FILE}holes: [" + "[[1,1],[2,1],[2,2]]," * 3_200 + "]",
             *(" " * MAX_BYTES, "#" * (10 * MAX_BYTES)),
         ):
@@ -219,30 +194,15 @@ class TestFiles:
                 load_field(path)
             assert time.process_time() - started < 3.0, text[-20:]
 
-    @settings(max_examples=200)
-    @given(text=st.text(max_size=400) | DOCUMENTS.map(yaml.dump))
-    @example(text="!!binary x")
-    @example(text="!!set {a}")
-    @example(text="!!omap [a: 1]")
-    @example(text="a: 1" + ":59" * 60)
-    def test_any_text_is_a_field_error(
-        self, tmp_path_factory: pytest.TempPathFactory, text: str
+    @settings(max_examples=300)
+    @given(content=CONTENTS)
+    @example(content=b"!!binary x")
+    @example(content=b"a: 1" + b":59" * 60)
+    def test_any_content_is_a_field_or_a_field_error(
+        self, tmp_path_factory: pytest.TempPathFactory, content: bytes
     ) -> None:
         path = tmp_path_factory.getbasetemp() / "fuzz.yaml"
-        path.write_bytes(text.encode("utf-8", "surrogatepass"))
-        with pytest.raises(FieldError):
-            load_field(path)
-
-    @settings(max_examples=100)
-    @given(data=st.data())
-    def test_a_damaged_file_is_a_field_or_a_field_error(
-        self, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-    ) -> None:
-        content = bytearray(VALID_FILE.encode())
-        for _ in range(data.draw(st.integers(1, 4))):
-            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-        path = tmp_path_factory.getbasetemp() / "damaged.yaml"
-        path.write_bytes(content[: data.draw(st.integers(0, len(content)))])
+        path.write_bytes(content)
         try:
             field = load_field(path)
         except FieldError:
@@ -275,8 +235,6 @@ SETS = """\
 
 
 class TestAuthorsSets:
-    """The authors' own files: tens of units, tuples as tags, one or several sets in a file."""
-
     def test_a_set_is_read_in_arena_units(self, tmp_path: Path) -> None:
         own = Field(
             vertices=[(45, 20), (300, 20), (300, 402.5)],
@@ -286,14 +244,6 @@ class TestAuthorsSets:
             name="set_1",
         )
         assert load_field(write(tmp_path, TAGGED, "set#1.yaml")) == own
-        names = {"field": "vertices", "init_positions": "starts", "infected_locations": "rois"}
-        for name, ours in FIELDS.items():
-            theirs: dict[str, Any] = {"grid_size": 100}
-            for key, list_name in names.items():
-                theirs[key] = [(x / 10, y / 10) for x, y in ours[list_name]]
-            text = yaml.dump(theirs)
-            assert "!!python/tuple" in text
-            assert load_field(write(tmp_path, text, f"{name}.yaml")) == Field(**ours, name=name)
 
     def test_one_of_several_sets(self, tmp_path: Path) -> None:
         path = write(tmp_path, SETS, "sets.json")
@@ -304,8 +254,6 @@ class TestAuthorsSets:
         for source in (path, f"{path}#set3"):
             with pytest.raises(FieldError, match="set1, set2"):
                 load_field(source)
-        text = "only:\n" + "".join(f"  {line}\n" for line in TAGGED.splitlines())
-        assert load_field(write(tmp_path, text)).name == "only"
 
     def test_problems_use_the_words_of_the_file(self, tmp_path: Path) -> None:
         text = (
@@ -316,6 +264,6 @@ class TestAuthorsSets:
             *("colour", "infected_locations", "init_positions[2].x"),
             *("field[2]", "field[3]", "init_positions[1]"),
         ]
-        for grid in ("big", "[50, 50]", "-5", "0", ".nan", "1.0e+9", "true", "null"):
+        for grid in ("big", "[50, 50]", "0", ".nan", "1.0e+9", "true"):
             text = TAGGED.replace("grid_size: 50", f"grid_size: {grid}")
             assert places_in(tmp_path, text) == ["grid_size"], grid

@@ -16,8 +16,7 @@ from tests.support.field_cases import places_of, write
 
 FARM = [[0, 0], [400, 0], [400, 300], [0, 300]]
 POND = [[180, 140], [180, 180], [220, 180], [220, 140]]
-METRE = 360 / 40_007_863
-"""Degrees of latitude, on average."""
+METRE = 360 / 40_007_863  # degrees of latitude, on average
 
 
 def ring(points: list[list[float]], dx: float = 0.0, dy: float = 0.0) -> list[list[float]]:
@@ -38,7 +37,7 @@ POINTS = (point(50, 50, kind="roi"), point(350, 250, Kind="ROI"), point(30, 200,
 
 
 def read(folder: Path, *features: dict[str, Any], pick: str = "", **options: Any) -> Any:
-    """The field of a collection of features, and the notes as one text."""
+    """Return the field of a collection of features, and the notes as one text."""
     text = json.dumps({"type": "FeatureCollection", "features": features})
     path = write(folder, text, "my farm.geojson")
     field, notes = load_map(f"{path}{pick}", **options)
@@ -52,7 +51,6 @@ def test_metres_are_moved_to_the_origin(tmp_path: Path) -> None:
     same = Field(FARM, [(50, 50)], [(30, 200)], [POND], name="my_farm")
     assert field == same
     assert "metres; the field is 400.0 x 300.0 m, a unit is 1 m" in notes
-    assert read(tmp_path, polygon(ring(FARM)), metres_per_unit=0.1)[0].arena == (4000, 3000)
 
 
 @pytest.mark.parametrize(("west", "south"), [(6.5, 51.9), (-58.0, -34.0), (179.999, -17.0)])
@@ -72,8 +70,6 @@ WKT = "POLYGON ((0 0, 400 0, 400 300, 0 300, 0 0), (180 140, 180 180, 220 180, 2
     [
         (WKT, 8),
         (f"SRID=32632;{WKT}\n".replace("POLYGON", "Polygon"), 8),
-        (WKT.replace("0 300, 0 0)", "0 300)"), 8),
-        (WKT.replace("(", "((", 1).replace("))", ")))").replace("POLY", "MULTIPOLY"), 8),
         (f"\ufeff{WKT}\nPOINT (50 50)\nMULTIPOINT Z (350 250 1, 60 70 1)", 3),
         (f"GEOMETRYCOLLECTION ({WKT}, POINT (50 50))", 1),
     ],
@@ -92,14 +88,11 @@ def test_wkt(tmp_path: Path, text: str, rois: int) -> None:
     ("features", "note"),
     [
         ([polygon([*FARM, [0.004, 0.003], FARM[0]])], "1 repeated corners"),
-        ([polygon([*FARM[:2], FARM[1], *FARM[2:], FARM[0]])], "1 repeated corners"),
         ([polygon(FARM)], "origin"),  # not closed
         ([polygon(ring(FARM), ring(POND[:2]))], "mended"),  # a hole without area
         ([polygon([*FARM[:2], [500, 0], *FARM[1:], FARM[0]])], "mended"),  # a spike
-        ([polygon(ring(FARM)), point(50, 50), point(50, 50.001)], "repeated"),
         ([polygon(ring(FARM)), point(-0.5, 50)], "moved to its border"),
         ([polygon(ring(FARM)), point(50, 50, kind="tree")], "tree: left out"),
-        ([{"type": "Feature", "geometry": None}, polygon(ring(FARM))], "origin"),
     ],
 )
 def test_what_is_mended_is_said(tmp_path: Path, features: Any, note: str) -> None:
@@ -122,15 +115,13 @@ def test_polygons_are_picked_and_holes_are_cut_out(tmp_path: Path) -> None:
     pond = polygon(ring(POND), kind="hole")
     lake = polygon(ring(POND, 200, 0), kind="Hole")
     farms = [polygon(ring(FARM), Name="A"), polygon(ring(FARM, 450), name="B"), pond, lake, *POINTS]
-    for pick in ("", "#C", "#0", "#3"):
+    for pick in ("", "#C"):
         assert places_of(lambda pick=pick: read(tmp_path, *farms, pick=pick)) == ["file"]
     for pick in ("#A", "#1"):
         field, _ = read(tmp_path, *farms, pick=pick)
         assert (field.name, len(field.holes), len(field.rois), len(field.starts)) == ("A", 1, 2, 1)
         assert field.polygon.area == 120_000 - 40 * 40 - 20 * 40  # the lake is cut by the border
-    field, notes = read(tmp_path, *farms, pick="#B")
-    assert "left out" in notes
-    assert len(field.rois) == 6
+    assert "left out" in read(tmp_path, *farms, pick="#B")[1]
 
 
 @pytest.mark.parametrize(
@@ -138,16 +129,10 @@ def test_polygons_are_picked_and_holes_are_cut_out(tmp_path: Path) -> None:
     [
         ([polygon(ring(FARM)), point(500, 50)], "features[1]"),  # outside
         ([polygon(ring([[0, 0], [10, 0], [10, 10]]))], "outline"),  # smaller than an ROI
-        ([polygon([[0, 0], [4e8, 0], [4e8, 4e8]])], "outline"),
         ([polygon(ring([[0, 0], [400, 300], [400, 0], [0, 300]]))], "features[0]"),  # two pieces
-        ([polygon(ring([[0, 0], [400, 300], [200, 150]]))], "features[0]"),  # no area
-        ([polygon([[0, 0], [400, "x"], [3, 4]])], "features[0]"),
         ([polygon([[0, 0], [400, float("nan")], [3, 4]])], "features[0]"),
-        ([polygon()], "features[0]"),
-        ([polygon(ring(FARM)), {"type": "Point"}], "features[1]"),
         ([point(1, 2)], "file"),
         ([{"type": "LineString", "coordinates": [[0, 0], [1, 1]]}], "features[0]"),
-        ([{"type": "Feature", "properties": [1]}], "features[0]"),
         ([[1]], "features[0]"),
     ],
 )
@@ -155,10 +140,10 @@ def test_bad_maps(tmp_path: Path, features: Any, place: str) -> None:
     assert places_of(lambda: read(tmp_path, *features)) == [place]
 
 
-@pytest.mark.parametrize("text", ["", "{", '{"a": 1}', "CIRCLE (1 2)", "[" * 10_000, "format: x"])
-def test_other_files_are_refused(tmp_path: Path, text: str) -> None:
-    with pytest.raises(FieldError):
-        load_map(write(tmp_path, text, "some.json"))
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    for text in ("", '{"a": 1}', "CIRCLE (1 2)", "[" * 10_000):
+        with pytest.raises(FieldError):
+            load_map(write(tmp_path, text, "some.json"))
 
 
 def test_placed_points_have_room_and_a_seed(tmp_path: Path) -> None:
@@ -181,11 +166,9 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "a unit is 0.5 m" in capsys.readouterr().out
     for more in (
         ["-o", str(out)],
-        ["-o", "f"],
         ["field_03"],
-        ["--count", "2"],
         ["--generate", "farm"],
+        ["--metres-per-unit", "0"],
     ):
         assert main([*words, *more]) == 2
     assert main(["fields", "--metres-per-unit", "2"]) == 2
-    assert main([*words, "--metres-per-unit", "0"]) == 2

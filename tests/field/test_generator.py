@@ -21,12 +21,10 @@ from mbn_marl.field.generator.layout import FAMILIES, Tables, make_tables, scrat
 from mbn_marl.field.generator.sampler import field_of, least_size
 from tests.support.field_cases import circle
 
-ROUNDING = 1e-6
-"""Of shapely's distances, in units."""
+ROUNDING = 1e-6  # of shapely's distances, units
 
 
 def sampler_of(*families: str, **changes: Any) -> FieldSampler:
-    """A sampler of fields of many sizes."""
     return FieldSampler(families, **{"robots": (1, 6), "size": (140, 420), **changes})
 
 
@@ -43,21 +41,19 @@ def made(sampler: FieldSampler, count: int, numbers: Any = None, dtype: Any = fl
 
 
 def millis(field: Field) -> str:
-    """A hash of a field's coordinates, as whole milli-units."""
     parts = (field.vertices, *field.holes, field.rois, field.starts)
     numbers = np.concatenate(parts) * 1000
     assert np.abs(numbers - np.rint(numbers)).max() < ROUNDING
     return hashlib.sha256(np.rint(numbers).astype("<i8").tobytes()).hexdigest()[:16]
 
 
-PINNED = {
+PINNED = {  # hashes of the fields of seed 7
     "convex": "4241e0adb2fac2f3",
     "concave": "be6b3df5cc96ae89",
     "corridors": "c2a40f5018a1317f",
     "obstacles": "ecaa95f7165afa37",
     "farm": "fb6d8e0905edb3f7",
 }
-"""Hashes of the fields of seed 7, as whole milli-units."""
 
 
 def test_fields_are_the_same_everywhere() -> None:
@@ -67,14 +63,10 @@ def test_fields_are_the_same_everywhere() -> None:
     assert field == sampler_of(*FAMILIES, seed=3).field(4, 5)
     others = [sampler.field(), sampler.field(5, 4), sampler_of(*FAMILIES, seed=4).field(4, 5)]
     assert len({millis(each) for each in (field, *others)}) == 4
-    sampler = sampler_of("concave", "farm", seed=7)
-    field = sampler.field(12, 3)
     family = field.name.split("-")[0]
-    assert field.name == f"{family}-7-12-3"
-    assert field == sampler_of(family, seed=7).field(12, 3)
+    assert field.name == f"{family}-3-4-5"
+    assert field == sampler_of(family, seed=3).field(4, 5)
     assert generate("convex", 7).name == "convex-7"
-    longest = FieldSampler(("obstacles",), seed=2**63 - 1).field(2**63 - 1, 2**32 - 1)
-    assert longest.name.startswith("obstacles-9223372036854775807-")
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
@@ -115,7 +107,7 @@ def test_without_room_it_is_a_square() -> None:
 
 
 def sharpest(ring: Any) -> float:
-    """The least angle between edges that meet, in degrees."""
+    """Return the least angle between edges that meet, in degrees."""
     back, ahead = np.roll(ring, 1, axis=0) - ring, np.roll(ring, -1, axis=0) - ring
     sizes = np.hypot(*back.T) * np.hypot(*ahead.T)
     return float(np.degrees(np.arccos((back * ahead).sum(axis=1) / sizes)).min())
@@ -150,7 +142,6 @@ def broken_promises(field: Field, sampler: FieldSampler) -> list[str]:
 @pytest.mark.parametrize(
     "changes",
     [
-        {},
         {"robots": 3, "rois": 6, "size": 100.1, "arena": (100.1, 100.1006)},
         {"robots": (1, 64), "rois": (1, 24), "size": 410, "arena": (410, 5000)},
         {"robots": 2, "rois": 24, "size": (300, 100_000), "arena": (1e6, 1e5)},
@@ -158,40 +149,22 @@ def broken_promises(field: Field, sampler: FieldSampler) -> list[str]:
 )
 def test_sound(family: str, changes: Any) -> None:
     sampler = sampler_of(family, **{"rois": (1, 10), **changes})
-    found = {field.name: broken_promises(field, sampler) for field in fields_of(sampler, 150)}
-    assert {name: broken for name, broken in found.items() if broken} == {}
-
-
-def fields_of(sampler: FieldSampler, count: int = 60) -> list[Field]:
-    return [sampler.field(world) for world in range(count)]
-
-
-def test_families_keep_their_words() -> None:
-    """Of what the pinned fields do not show: convex outlines, one to four obstacles, rings."""
-    for field in fields_of(sampler_of("convex", "obstacles")):
-        outline = shapely.Polygon(field.vertices)
-        assert outline.convex_hull.area - outline.area < 1e-4 * outline.area
-        assert len(field.holes) in ((0,) if field.name.startswith("convex") else (1, 2, 3, 4))
-    corridors = fields_of(sampler_of("corridors"))
-    sizes = {len(field.vertices) for field in corridors if not field.holes}
-    assert sizes == {6, 8, 12, 16, 20} and {len(field.holes) for field in corridors} == {0, 1}
+    for world in range(150):
+        field = sampler.field(world)
+        assert broken_promises(field, sampler) == [], field.name
 
 
 def test_weights() -> None:
-    def shares(weights: Any) -> list[float]:
+    for weights, shares in (((2, 0, 6), (0.25, 0, 0.75)), (None, (1 / 3, 1 / 3, 1 / 3))):
         sampler = FieldSampler(FAMILIES[:3], weights=weights)
-        names = [field.name.split("-")[0] for field in fields_of(sampler, 300)]
-        return [names.count(family) / 300 for family in FAMILIES]
-
-    assert shares((0, 1, 0)) == [0, 1, 0, 0, 0]
-    assert shares((2, 0, 6)) == pytest.approx([0.25, 0, 0.75, 0, 0], abs=0.08)
-    assert shares(None) == pytest.approx([1 / 3, 1 / 3, 1 / 3, 0, 0], abs=0.08)
+        names = [sampler.field(world).name.split("-")[0] for world in range(300)]
+        found = [names.count(family) / 300 for family in FAMILIES[:3]]
+        assert found == pytest.approx(shares, abs=0.08)
 
 
 def test_a_sampler_is_a_value() -> None:
     sampler = FieldSampler(["farm", "convex"], robots=(2, 4), weights=[1, 2], seed=5)
     assert sampler == FieldSampler(("farm", "convex"), (2, 4), weights=(1.0, 2.0), seed=5)
-    assert hash(sampler) == hash(pickle.loads(pickle.dumps(sampler)))
     assert sampler == pickle.loads(pickle.dumps(sampler)) != FieldSampler()
     assert FieldSampler(robots=3, size=200) == FieldSampler(robots=(3, 3), size=(200.0, 200))
     with pytest.raises(ValueError, match="seed"):
@@ -214,7 +187,6 @@ def test_a_sampler_is_a_value() -> None:
         ({"rois": (4, 2)}, "rois"),
         *(({"size": size}, "size") for size in (float("nan"), (99, 300))),
         *(({"weights": weights}, "weights") for weights in ((1, 2), (0,))),
-        *(({"robots": 5, name: (110, 420)}, name) for name in ("size", "arena")),
         *(({"robots": 64, "rois": 24, name: (400, 420)}, name) for name in ("size", "arena")),
         ({"size": 500, "arena": (900, 400)}, "size"),
     ],
@@ -225,23 +197,12 @@ def test_all_problems_at_once(given: dict[str, Any], places: str) -> None:
     assert [problem.split(":")[0] for problem in caught.value.problems] == places.split()
 
 
-def test_numbers_of_samplers_worlds_and_episodes() -> None:
-    with pytest.raises(ConfigError) as caught:
-        FieldSampler().field(-1, 2**32)
-    assert [problem.split(":")[0] for problem in caught.value.problems] == ["world", "episode"]
-    sampler = FieldSampler(size=(110.1, 120.0006), arena=(120.0006, 500.3))
-    assert sampler.numbers()[:4].tolist() == [120_000, 500_300, 110_100, 120_000]
-    assert sampler.numbers()[8:].tolist() == [2**30] * 5
-
-
 @pytest.mark.parametrize(
     ("given", "size"),
     [
         ({}, (110, 420)),
         ({"robots": (2, 5)}, (120, 420)),
         ({"robots": 64, "rois": 24}, (410, 1000)),
-        ({"robots": 64, "arena": (2000, 3000)}, (390, 1365)),
-        ({"arena": (300, 200)}, (110, 200)),
         ({"arena": (100, 500)}, (100, 100)),
     ],
 )

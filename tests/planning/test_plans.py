@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
-import time
 from functools import cache
 
 import numpy as np
@@ -12,20 +10,15 @@ import pytest
 import shapely
 
 from mbn_marl import BatchEngine, parallel_env
-from mbn_marl.config import NavigationConfig, make_config
+from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import Field, FieldSampler, catalogue_names, load_field
+from mbn_marl.field import Field, catalogue_names, load_field
 from mbn_marl.optimum import optimal_return
-from mbn_marl.planning import Plan, UnsolvableError, plan, planner
-from mbn_marl.planning.motion import surroundings
+from mbn_marl.planning import Plan, UnsolvableError, plan
 from mbn_marl.planning.problem import make_problem
 from mbn_marl.planning.replay import Player
 from tests.field.test_field_files import OPTIMAL_MAKESPANS
-from tests.support.planning_cases import (
-    SQUARE,
-    U_SHAPE,
-    star_field,
-)
+from tests.support.planning_cases import SQUARE, U_SHAPE, star_field
 
 pytestmark = pytest.mark.slow
 planned = cache(plan)
@@ -80,15 +73,6 @@ def test_wind_is_part_of_the_plan() -> None:
     assert replayed(against, "float32", wind=(0.4, 30.0))[:2] == (True, against.makespan)
 
 
-def test_robots_pass_each_other() -> None:
-    # Two robots whose straight ways cross.
-    field = Field(SQUARE, [(290, 290), (110, 290)], [(110, 110), (290, 110)])
-    found = plan(field, n_robots=2)
-    assert found.makespan is not None
-    apart = np.hypot(*(found.trail[:, 0] - found.trail[:, 1]).T)
-    assert apart.min() >= 10.0
-
-
 @pytest.mark.parametrize("field", [U_SHAPE, star_field(0), star_field(1)])
 def test_fields_that_are_not_convex_have_verified_plans(field: Field) -> None:
     found = plan(field, time_limit=20.0)
@@ -99,30 +83,12 @@ def test_fields_that_are_not_convex_have_verified_plans(field: Field) -> None:
     assert replayed(found, "float32")[:2] == (True, found.makespan)
 
 
-def test_surroundings_are_convex_parts_of_the_field() -> None:
-    field = star_field(2)
-    problem = make_problem(field, NavigationConfig())
-    rng = np.random.default_rng(0)
-    low, high = field.vertices.min(axis=0), field.vertices.max(axis=0)
-    paths = rng.uniform(low, high, (3, 20, 2))
-    probes = rng.uniform(low, high, (4000, 2))
-    inside = shapely.intersects_xy(field.polygon.buffer(1e-6), probes)
-    for normals, offsets in itertools.chain(*surroundings(problem, paths)):
-        held = np.all(probes @ normals.T <= offsets, axis=1)
-        assert not np.any(held & ~inside)
-        assert len(normals) >= 3
-
-
 def test_many_rois_have_a_plan_and_a_bound() -> None:
     rois = np.random.default_rng(0).uniform(110.0, 290.0, (16, 2))
     found = plan(Field(SQUARE, rois, [(120, 120), (280, 280)]), time_limit=10.0)
     assert found.makespan is not None
     assert 20 < found.makespan_lower_bound <= found.makespan
     assert sorted(itertools.chain(*found.assignment)) == list(range(16))
-    sampler = FieldSampler(families=["convex"], robots=12, rois=20, size=[300, 400], seed=1)
-    found = plan(sampler.field(0))
-    assert found.optimal
-    assert sorted(itertools.chain(*found.assignment)) == list(range(20))
 
 
 def test_an_unreachable_roi_is_reported_at_once() -> None:
@@ -149,21 +115,6 @@ def test_the_time_limit_holds_where_greed_gets_nowhere() -> None:
     assert found.makespan is None
     assert found.makespan_lower_bound > 30
     assert found.seconds < 8.0
-
-
-def test_the_time_limit_holds_where_no_motion_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    tried = []
-
-    def coordinate(*_: object) -> None:
-        tried.append(time.monotonic())
-        time.sleep(0.5)
-
-    monkeypatch.setattr(planner, "coordinate", coordinate)
-    problem = make_problem(Field(SQUARE, [(200, 200)], [(120, 120)]), NavigationConfig())
-    team = planner.prove(problem, deadline=math.inf)
-    until = time.monotonic() + 2.0
-    assert planner._search(problem, Player(problem), team, team.bound, 1000, until) is None
-    assert 1 <= len(tried) <= 5
 
 
 def test_plans_do_not_compile_what_robots_would_see() -> None:

@@ -12,7 +12,6 @@ import shapely
 from mbn_marl import BatchEngine, Uniform
 from mbn_marl.config import Failures, NavigationConfig, make_config
 from mbn_marl.field import Field, load_field
-from mbn_marl.planning.greedy import Greedy
 from mbn_marl.planning.problem import make_problem
 from mbn_marl.planning.replanning import search
 from mbn_marl.planning.roadmap import make_roadmap
@@ -123,25 +122,6 @@ def test_plans_lead_round_robots_in_the_way() -> None:
         assert 10.0 <= apart.min() < 20.0
         assert count <= 1.2 * straight.shape[1] + 1
         assert np.hypot(*(straight[0] - others[0][: straight.shape[1]]).T).min() < 10.0
-
-
-@pytest.mark.slow
-def test_greedy_leaves_the_way_of_a_robot_that_coasts() -> None:
-    field = Field(SQUARE, [(290, 290)], [(200, 200), (120, 203)])
-    settings: dict[str, Any] = {"failures": Failures(at={1: 15}, kind="coast")}
-    engine = BatchEngine(field, 1, autoreset="disabled", threads=1, max_steps=60, **settings)
-    engine.reset()
-    for _ in range(14):  # robot 1 comes at 4 units a step, robot 0 has not begun
-        engine.step(np.array([[[0.0, 0.0], [0.571, 0.0]]]))
-    problem = make_problem(field, make_config(settings), closed_loop=True)
-    greedy = Greedy(problem)
-    visited = np.ones(1, bool)  # so that robot 0 has nothing to do
-    for _ in range(25):
-        seen = engine.snapshot()
-        actions = greedy.act(seen.positions, seen.velocities, visited, seen.failed)
-        engine.step(actions[None])
-    assert not engine.metrics()["collision"][0]
-    assert engine.snapshot().positions[1, 0] > 220.0, "it has passed"
 
 
 def test_a_corner_that_is_reached_is_passed() -> None:

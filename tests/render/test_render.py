@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -15,12 +13,12 @@ from tests.support.pictures import FIELD, HOLE, SIZE, SQUARE, draw, snapshot, wa
 pytest.importorskip("pygame", reason="needs the extra [render]")
 
 
-# ---------------------------------------------------------------- what is where
-
-
 @pytest.mark.parametrize("position", [(200.0, 290.0), (200.0, 110.0), (285.0, 240.0)])
-def test_robot_is_drawn_where_it_is_with_y_up(position: tuple[float, float]) -> None:
-    frame = draw(snapshot([position], roi_radius=0.0))
+def test_robot_is_drawn_where_it_is_with_y_up_and_holes_are_obstacles(
+    position: tuple[float, float],
+) -> None:
+    field = Field(SQUARE, rois=FIELD.rois, starts=FIELD.starts, holes=[HOLE])
+    frame = draw(snapshot([position], roi_radius=0.0, field=field))
     ground_rows, ground_columns = where(frame, style.GROUND)
     rows, columns = where(frame, style.robot_colour(0))
     left, right = ground_columns.min(), ground_columns.max()
@@ -28,6 +26,8 @@ def test_robot_is_drawn_where_it_is_with_y_up(position: tuple[float, float]) -> 
     share = (np.array(position) - 100.0) / 200.0
     assert np.median(columns) == pytest.approx(left + share[0] * (right - left), abs=3.0)
     assert np.median(rows) == pytest.approx(bottom - share[1] * (bottom - top), abs=3.0)
+    middle = (top + bottom) // 2, (left + right) // 2
+    assert tuple(frame[middle]) == style.rgb(style.OBSTACLE)
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.5 * np.pi, 2.5])
@@ -47,34 +47,17 @@ def test_point_shows_where_a_robot_faces_and_a_cross_a_failure(heading: float) -
     assert (failed[crossed] == style.rgb(style.INK)).all(axis=1).sum() > 20
 
 
-def test_hole_is_drawn_as_an_obstacle() -> None:
-    field = Field(SQUARE, rois=FIELD.rois, starts=FIELD.starts, holes=[HOLE])
-    solid, pierced = draw(snapshot()), draw(snapshot(field=field))
-    rows, columns = where(solid, style.GROUND)
-    middle = (rows.min() + rows.max()) // 2, (columns.min() + columns.max()) // 2
-    assert tuple(solid[middle]) == style.rgb(style.GROUND)
-    assert tuple(pierced[middle]) == style.rgb(style.OBSTACLE)
-
-
 def test_visited_roi_is_filled_and_an_open_one_hollow() -> None:
     none, first = (draw(snapshot(visited=np.array(seen))) for seen in ([0, 0], [1, 0]))
     assert not where(none, style.ROI_VISITED)[0].size
     rows, columns = where(first, style.ROI_VISITED)
     assert rows.size > 50
     assert rows.min() > 250 and columns.max() < 150, "the first ROI is at the lower left"
-    # It differs without its colour, too: an open marker is bright inside.
-    box = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-    assert none[box].mean() - first[box].mean() > 40.0
 
 
 @pytest.mark.parametrize(
     ("wind", "towards"),
-    [
-        ((0.3, 0.0), (0, 1)),
-        ((-0.3, 0.0), (0, -1)),
-        ((0.0, 0.3), (-1, 0)),
-        ((0.0, -0.3), (1, 0)),
-    ],
+    [((0.3, 0.0), (0, 1)), ((0.0, 0.3), (-1, 0))],
 )
 def test_wind_arrow_points_the_way_the_wind_blows(
     wind: tuple[float, float], towards: tuple[int, int]
@@ -91,11 +74,6 @@ def test_wind_arrow_points_the_way_the_wind_blows(
     assert abs(offset @ towards[::-1]) < 0.5
 
 
-def test_without_wind_there_is_no_arrow() -> None:
-    corner = draw(snapshot(winds=np.array([(1e-17, 0.0)])))[:44, -150:]
-    assert (corner == style.rgb(style.OBSTACLE)).all()
-
-
 @pytest.mark.parametrize(
     ("ending", "colour"), [("success", style.SUCCESS), ("collision", style.COLLISION)]
 )
@@ -105,45 +83,13 @@ def test_end_of_an_episode_is_announced(ending: str, colour: str) -> None:
     assert where(over[:44], colour)[0].size > 100
 
 
-@pytest.mark.parametrize(
-    ("name", "values", "part"),
-    [
-        ("step", (1, 2), np.s_[:44, :90]),
-        ("team_return", (-0.5, 158_800.0), np.s_[:24, 90:]),
-        ("roi_radius", (10.0, 20.0), np.s_[44:]),
-        ("safety_distance", (20.0, 40.0), np.s_[44:]),
-    ],
-)
-def test_numbers_of_a_snapshot_are_shown(name: str, values: Any, part: Any) -> None:
-    one, two = (draw(snapshot(**{name: value}))[part] for value in values)
-    assert not np.array_equal(one, two)
-
-
-def test_robots_that_share_a_colour_differ_in_their_number() -> None:
-    count = len(style.ROBOTS)
-    assert style.robot_colour(0) == style.robot_colour(count)
-    spots = [(105.0 + 18.0 * index, 200.0) for index in range(count + 1)]
-    rows, columns = where(draw(snapshot([spots])), style.robot_colour(0))
-    shapes = [
-        set(zip(rows[side] - rows[side].min(), columns[side] - columns[side].min(), strict=True))
-        for side in (columns < 200, columns > 200)
-    ]
-    assert shapes[0] != shapes[1]
-
-
-def test_users_robot_is_ringed_and_the_keys_are_shown() -> None:
+def test_users_robot_is_ringed() -> None:
     moment = snapshot([[(130.0, 200.0), (270.0, 200.0)]], safety_distance=0.0, roi_radius=0.0)
     plain, ours = (draw(moment, Viewer("rgb_array", SIZE, own=own)) for own in (None, 1))
     rows, columns = np.nonzero((plain != ours).any(axis=2))
     place = [np.median(axis) for axis in where(plain, style.robot_colour(1))]
     assert [rows.mean(), columns.mean()] == pytest.approx(place, abs=1.5)
     assert 20 <= np.ptp(columns) <= 30, "a ring round a disc of 16 pixels"
-    keys = draw(moment, Viewer("rgb_array", SIZE, keys="space: pause"))
-    dark, below = (int((frame[385:].max(axis=2) < 128).sum()) for frame in (keys, plain))
-    assert (dark > 30, below) == (True, 0)
-
-
-# ---------------------------------------------------------------- from frame to frame
 
 
 def test_trail_drawn_bit_by_bit_is_the_trail_drawn_at_once() -> None:
@@ -158,14 +104,13 @@ def test_trail_drawn_bit_by_bit_is_the_trail_drawn_at_once() -> None:
     [
         snapshot(wander(5, 3, seed=1)),
         snapshot(wander(30, 3, seed=1)),
-        snapshot(wander(20, 2)),
         snapshot(wander(20, 3), winds=np.array([(0.1, 0.0)])),
         snapshot(
             wander(20, 3),
             field=Field([(90, 90), (320, 90), (270, 320)], rois=FIELD.rois, starts=[(120, 100)]),
         ),
     ],
-    ids=["a shorter episode", "a longer episode", "another team", "wind", "another field"],
+    ids=["a shorter episode", "a longer episode", "wind", "another field"],
 )
 def test_nothing_of_the_last_frame_stays(other: Snapshot) -> None:
     viewer = Viewer("rgb_array", SIZE)

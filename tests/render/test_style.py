@@ -50,20 +50,6 @@ def test_colours_of_robots_are_clearly_distinct_for_all_eyes(sight: str) -> None
     assert apart[~np.eye(10, dtype=bool)].min() > (15.0 if sight == "normal" else 8.0)
 
 
-def test_figures_and_pages_use_the_robots_colours() -> None:
-    assert len(set(style.ROBOTS)) == len(style.ROBOTS) >= 10
-    on_pages = [style.PAGE[f"robot-{index}"] for index in range(len(style.ROBOTS))]
-    assert tuple(light for light, _ in on_pages) == style.ROBOTS
-    assert [pair for pair in on_pages if len(set(pair)) == 2] == [(style.BLACK, style.WHITE)]
-
-
-def test_ink_on_a_colour_is_what_contrasts_more() -> None:
-    # Contrast of white and of black (WCAG 2.1): blue 5.2 and 4.0; orange 2.2 and 9.4.
-    assert style.ink_on(style.BLUE) == style.WHITE
-    assert style.ink_on(style.ORANGE) == style.BLACK
-    assert style.ink_on(style.WHITE) == style.BLACK
-
-
 def test_series_in_a_row_differ_in_colour_dash_and_marker() -> None:
     looks = [style.series(index) for index in range(30)]
     for index in range(28):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from typing import Any
 
 import numpy as np
@@ -21,19 +20,14 @@ from tests.support.pictures import SIZE, draw, snapshot, where
 pygame = pytest.importorskip("pygame", reason="needs the extra [render]")
 
 
-# ---------------------------------------------------------------- arrays
-
-
 def test_frame_is_a_new_array_of_height_width_and_three_channels() -> None:
     viewer = Viewer("rgb_array", size=(300, 220))
     first = draw(snapshot(), viewer)
     kept = first.copy()
-    second = draw(snapshot([(120.0, 200.0), (280.0, 280.0)]), viewer)
-    assert first.shape == (220, 300, 3)
-    assert first.dtype == np.uint8
+    draw(snapshot([(120.0, 200.0), (280.0, 280.0)]), viewer)
+    assert (first.shape, first.dtype) == ((220, 300, 3), np.uint8)
     assert first.flags.c_contiguous and first.flags.writeable
     assert np.array_equal(first, kept)
-    assert not np.array_equal(first, second)
 
 
 @pytest.mark.slow
@@ -61,46 +55,33 @@ def test_without_pygame_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatc
         Viewer("rgb_array").draw(snapshot())
 
 
-def places(caught: Any) -> list[str]:
-    return [problem.split(":")[0] for problem in caught.value.problems]
-
-
 def test_every_wrong_argument_is_listed() -> None:
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigError, match=r"render_mode: (.|\n)* size: (.|\n)* frame_rate: "):
         Viewer("ansi", size=(400, 40), frame_rate=0.0)
-    assert places(caught) == ["render_mode", "size", "frame_rate"]
     for size in ((400, 40), (400.0, 400), (400,), 400, "big"):
         for make in (parallel_env, aec_env, centralized_env, CentralizedVectorEnv):
-            with pytest.raises(ConfigError) as caught:
+            with pytest.raises(ConfigError, match=r"render_size: (.|\n)* render_mode: "):
                 make(field="field_03", render_mode="ansi", render_size=size)
-            assert places(caught) == ["render_size", "render_mode"]
 
 
 @pytest.mark.parametrize("render_mode", ["human", "rgb_array"])
 @pytest.mark.parametrize("make", [parallel_env, centralized_env])
+@pytest.mark.parametrize("size", [{}, {"render_size": (500, 300)}])
+@pytest.mark.usefixtures("no_screen")
 def test_size_of_an_environments_pictures_is_an_argument(
-    make: Any, render_mode: str, monkeypatch: pytest.MonkeyPatch
+    make: Any, render_mode: str, size: Any
 ) -> None:
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-
-    def size(**changes: Any) -> tuple[int, ...]:
-        env = make("field_03", render_mode=render_mode, **changes)
-        env.reset(seed=0)
-        frame = env.render()
-        shown = pygame.display.get_window_size() if frame is None else frame.shape[1::-1]
-        env.close()
-        return tuple(shown)
-
-    assert size() == (800, 800)
-    assert size(render_size=(500, 300)) == (500, 300)
+    env = make("field_03", render_mode=render_mode, **size)
+    env.reset(seed=0)
+    frame = env.render()
+    shown = pygame.display.get_window_size() if frame is None else frame.shape[1::-1]
+    env.close()
+    assert tuple(shown) == size.get("render_size", (800, 800))
 
 
 def test_field_keeps_its_shape_in_a_picture_of_another() -> None:
     rows, columns = where(draw(snapshot(), Viewer("rgb_array", (700, 300))), style.GROUND)
     assert np.ptp(rows) == pytest.approx(np.ptp(columns), abs=2)
-
-
-# ---------------------------------------------------------------- windows
 
 
 @pytest.fixture
@@ -123,30 +104,15 @@ def test_window_shows_the_frame() -> None:
 
 
 @pytest.mark.usefixtures("no_screen")
-@pytest.mark.parametrize(
-    "event",
-    [pygame.event.Event(pygame.QUIT), pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE)],
-    ids=["close button", "escape"],
-)
-def test_person_can_close_the_window(event: Any) -> None:
+def test_person_can_close_the_window() -> None:
     viewer = Viewer("human", SIZE, frame_rate=1000.0)
     viewer.draw(snapshot())
     assert not viewer.closed
-    pygame.event.post(event)
+    pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE))
     viewer.draw(snapshot())
     assert viewer.closed
     assert viewer.draw(snapshot()) is None
     assert not pygame.display.get_init(), "a closed window stays closed"
-
-
-@pytest.mark.usefixtures("no_screen")
-def test_window_keeps_to_the_frame_rate() -> None:
-    viewer = Viewer("human", frame_rate=50.0)
-    viewer.draw(snapshot())
-    start = time.perf_counter()
-    for _ in range(5):
-        viewer.draw(snapshot())
-    assert time.perf_counter() - start > 0.08
 
 
 def test_window_without_a_display_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,10 +11,10 @@ import pytest
 from baselines.evaluation.rollout import record_episode
 from baselines.policies.classical import make_classical
 from baselines.policies.load import load_trained, open_run
-from mbn_marl.config import RewardProfile, Uniform
+from mbn_marl.config import Uniform
 from mbn_marl.engine import BatchEngine, TrackedWorld
 from mbn_marl.episode import Episode
-from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
+from mbn_marl.errors import ActionError, ConfigError, StepError
 from mbn_marl.field import Field, load_field
 from mbn_marl.sim3d import Mission, PlaneSimulator, Scale, deploy
 from tests.support.configurations import EVERYTHING
@@ -37,9 +37,7 @@ def assert_same_episode(policy: Any, field: Field, settings: Mapping[str, Any]) 
 @pytest.mark.parametrize(
     ("policy", "field", "settings"),
     [
-        ("greedy", "field_03", {}),
         ("greedy", "field_01", {"wind": (0.3, 30.0)}),
-        ("wander", "field_03", {"max_steps": 200}),
         ("wander", "field_04", {"max_steps": 60, "reward": "formal", "random_starts": True}),
         ("zoo", "field_03", {"wind": (0.1, 30.0)}),
     ],
@@ -108,16 +106,12 @@ def test_wind_of_a_simulator_is_in_the_episode() -> None:
 
 
 def test_deployed_episode_has_the_numbers_that_the_engine_draws() -> None:
-    settings: dict[str, Any] = TWO | {"condition": "windy", "mass": Uniform(1.0, 2.0)}
-    settings["max_steps"] = 5
+    settings: dict[str, Any] = TWO | {"mass": Uniform(1.0, 2.0), "max_steps": 5}
     engine = BatchEngine(SMALL, 1, seed=3, **settings)
     engine.reset()
     shown = deploy(Wander(), SMALL, settings, Windy(), seed=3).episode
     assert shown.config == engine.config_in()
     assert not shown.config.drawn and not shown.drawn
-
-
-# ---------------------------------------------------------------- the tracked world
 
 
 @pytest.fixture
@@ -170,47 +164,13 @@ def test_wrong_measurements_and_numbers_are_errors(
     tracked: tuple[BatchEngine, TrackedWorld],
 ) -> None:
     engine, world = tracked
-    with pytest.raises(ActionError, match=r"\(2, 2\)"):
-        world.measure([(1.0, 2.0)], [(0.0, 0.0)])
-    with pytest.raises(ActionError, match="finite"):
-        world.measure(np.full((2, 2), np.nan), np.zeros((2, 2)))
+    for positions in ([(1.0, 2.0)], np.full((2, 2), np.nan)):
+        with pytest.raises(ActionError):
+            world.measure(positions, np.zeros((2, 2)))
     with pytest.raises(ActionError, match="actions: "):
         world.command([[1.0, 0.0], [1.0]])
-    for limit in (0.0, -1.0, np.nan):
-        with pytest.raises(ConfigError, match="speed_limit: "):
-            TrackedWorld(engine, limit)
-    with pytest.raises(MbnError, match=r"speed_limit: "):
-        TrackedWorld(BatchEngine(SMALL, 2, autoreset=False), 0.0)
+    with pytest.raises(ConfigError, match="speed_limit: "):
+        TrackedWorld(engine, np.nan)
     with pytest.raises(ConfigError, match=r"metres: 0\.0"):
         Scale(metres=0.0)
     assert (Scale(0.2, 0.5).speed, Scale(0.2, 0.5).acceleration(tau=2.0)) == (0.4, 0.4)
-
-
-# ---------------------------------------------------------------- the numbers of a deployment
-
-
-class Push:
-    """Full force to the left, or to the right, always."""
-
-    observes = "observations"
-
-    def __init__(self, force: float) -> None:
-        self.force = force
-
-    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        return np.tile(np.float32((self.force, 0.0)), (*seen.shape[:2], 1))
-
-
-def test_separation_is_that_of_robots_that_have_not_vanished() -> None:
-    """Robot 1 fails in the first step, 260 units away; robot 0 comes 0.5, then 1.5 units nearer."""
-    for kind, least in (("vanish", 260.0), ("brake", 258.5)):
-        failing = TWO | {"failures": {"at": {1: 1}, "kind": kind}, "max_steps": 2}
-        assert deploy(Push(1.0), SMALL, failing, PlaneSimulator()).separation == least
-
-
-def test_wall_hits_are_counted_where_they_cost_nothing() -> None:
-    """From x = 120 robot 0 gets to 102 in 8 steps, to 97.5 in the 9th; then 101.5, 100.5, 99."""
-    free = RewardProfile(name="free", large=0.0)
-    done = deploy(Push(-1.0), SMALL, {"max_steps": 12, "reward": free}, PlaneSimulator())
-    assert done.wall_hits == 2
-    assert not done.episode.terms[..., 2].any()

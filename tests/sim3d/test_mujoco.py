@@ -27,7 +27,6 @@ if find_spec("mujoco") is None:
     pytest.skip("MuJoCo is not installed", allow_module_level=True)
 
 from mbn_marl.sim3d import quadrotor
-from mbn_marl.sim3d.balancer import Balancer
 from mbn_marl.sim3d.mujoco_simulator import MujocoSimulator
 from mbn_marl.sim3d.scene import SPRAYED, STONE
 
@@ -44,19 +43,6 @@ def drive(simulator: MujocoSimulator, velocities: Any, steps: int = 1) -> None:
     simulator.command(np.broadcast_to(np.array(velocities), (2, 2)))
     for _ in range(steps):
         simulator.step()
-
-
-# ---------------------------------------------------------------- the quadrotor
-
-
-def test_hovering_holds_its_height_in_wind() -> None:
-    simulator = begun(wind=(0.4, 0.3))
-    simulator.data.qpos[2] = 0.45  # the first one begins 10 cm too high
-    for step in range(12):
-        simulator.step()
-        if step >= 2:
-            assert np.abs(simulator.motion().heights - 0.35).max() < 0.02
-    assert 0.02 < simulator.motion().velocities[0, 0] < 0.2, "it resists the wind"
 
 
 def test_velocity_settles_within_a_step() -> None:
@@ -77,8 +63,6 @@ def test_wind_moves_a_free_body_as_it_moves_a_point_mass(monkeypatch: pytest.Mon
     simulator.step()
     gained = simulator.motion().velocities
     np.testing.assert_allclose(gained, [wind, wind], rtol=0.1)
-    angles = np.degrees(np.arctan2(gained[:, 1], gained[:, 0]))
-    np.testing.assert_allclose(angles, 30.0, atol=1.0)
 
 
 def test_obstacle_stops_a_quadrotor() -> None:
@@ -90,38 +74,16 @@ def test_obstacle_stops_a_quadrotor() -> None:
     assert free[0, 0] < 202.0  # the block begins at 200
 
 
-# ---------------------------------------------------------------- the balancing robot
-
-
-def lean(simulator: MujocoSimulator) -> float:
-    """The most that a vehicle's axis is off the vertical, degrees."""
-    return float(np.degrees(np.arccos(simulator.senses().rotations[:, 2, 2].min())))
-
-
 def test_balancer_stays_up_and_drives_where_it_is_told() -> None:
     simulator = begun("balancer")
     assert simulator.speed_limit == 2.0
     for velocity in ((2.0, 0.0), (0.0, 1.5), (-1.0, -1.0), (0.0, 0.0)):
         for _ in range(6):
             drive(simulator, velocity)
-            assert lean(simulator) < 15.0
+            upright = simulator.senses().rotations[:, 2, 2]
+            assert np.degrees(np.arccos(upright.min())) < 15.0
         error = simulator.motion().velocities - velocity
         assert np.abs(error).max() < 0.15
-
-
-def test_without_control_the_balancer_falls() -> None:
-    class Idle(Balancer):
-        def control(self, senses: Any, commands: Any, parked: Any) -> Any:
-            return np.zeros((len(commands), 2))
-
-    simulator = begun(Idle())
-    simulator.data.qvel[4] = 0.1
-    for _ in range(4):
-        simulator.step()
-    assert lean(simulator) > 45.0
-
-
-# ---------------------------------------------------------------- vehicles that fail
 
 
 @pytest.mark.parametrize(("vehicle", "height"), [("quadrotor", 0.055), ("balancer", 0.1)])
@@ -129,41 +91,21 @@ def test_vehicle_that_brakes_stands_where_it_stopped(vehicle: str, height: float
     """A quadrotor lands there. Wind does not move it, and the other one goes on."""
     simulator = begun(vehicle, wind=(0.3, 0.2))
     drive(simulator, (1.5, 0.0), 4)
-    colours = simulator.model.geom_rgba.copy()
     simulator.fail(0, "brake")
-    working = simulator.motion().heights[0]
     for speed in (1.0, 0.5):
         drive(simulator, [(speed, 0.0), (-1.0, 0.0)])
-        assert simulator.motion().heights[0] == pytest.approx(working, abs=0.02)
-    stopped, places = simulator.motion().positions[0], []
+    stopped = simulator.motion().positions[0]
     for _ in range(12):
         drive(simulator, [(0.0, 0.0), (-1.0, 0.0)])
-        places.append(simulator.motion().positions[0])
     after = simulator.motion()
     assert after.heights[0] == pytest.approx(height, abs=0.002)
     assert np.linalg.norm(after.positions[0] - stopped) < 1.0  # of a unit
-    assert np.ptp(places[-4:], axis=0).max() < 0.1
     assert np.linalg.norm(after.velocities[0]) < 0.02
     assert after.velocities[1, 0] < -0.5
-    if vehicle == "quadrotor":
-        assert after.heights[1] == pytest.approx(0.35, abs=0.02)
-        assert not simulator.data.ctrl[:4].any() and simulator.data.ctrl[4:].all()
-    model = simulator.model
-    roots = [model.body(model.body_rootid[body]).name for body in model.geom_bodyid]
-    changed = np.flatnonzero((model.geom_rgba != colours).any(axis=1))
-    assert {roots[part] for part in changed} == {"robot_0"}
-    np.testing.assert_allclose(model.geom_rgba[changed[0]], np.array(STONE.split(), float))
-
-
-def test_vehicle_that_coasts_flies_on() -> None:
-    simulator = begun()
-    simulator.fail(0, "coast")
-    drive(simulator, (1.0, 0.0), 3)
-    drive(simulator, (0.0, 0.0), 3)
-    assert np.abs(simulator.motion().heights - 0.35).max() < 0.02
-
-
-# ---------------------------------------------------------------- deployments
+    parts = simulator.model.body_rootid[simulator.model.geom_bodyid]
+    robot = simulator.model.body("robot_0").id
+    stone = (simulator.model.geom_rgba == np.array(STONE.split(), np.float32)).all(axis=1)
+    assert stone[parts == robot].any()
 
 
 def test_policy_of_the_plane_flies() -> None:
@@ -178,11 +120,6 @@ def test_policy_of_the_plane_flies() -> None:
     assert ideal.tracking_error < 1e-4
     gaps = [math.dist(*moment) for moment in real.episode.positions.tolist()]
     assert real.separation == pytest.approx(min(gaps))
-    missed = np.diff(real.episode.positions.astype(float), axis=0) - real.commands
-    assert real.tracking_error == pytest.approx(np.sqrt((missed**2).sum(axis=2).mean()))
-
-
-# ---------------------------------------------------------------- the scene
 
 
 def test_scene_has_what_the_field_has() -> None:
@@ -192,12 +129,10 @@ def test_scene_has_what_the_field_has() -> None:
     assert sum(name.startswith("obstacle") for name in names) == len(BEND) - 2
     np.testing.assert_allclose(simulator.model.geom("weed_1").pos[:2], (10.0, 5.0))
     np.testing.assert_allclose(simulator.motion().positions, SMALL.starts)
-    before = simulator.model.geom("weed_1").rgba.copy()
     simulator.spray(1)
-    after = simulator.model.geom("weed_1").rgba
-    np.testing.assert_allclose(after, [float(part) for part in SPRAYED["weed"].split()])
-    assert not np.allclose(before, after)
-    np.testing.assert_array_equal(simulator.model.geom("weed_0").rgba, before)
+    green = np.array(SPRAYED["weed"].split(), np.float32)
+    shown = [np.array_equal(simulator.model.geom(f"weed_{k}").rgba, green) for k in range(3)]
+    assert shown == [False, True, False]
 
 
 def test_unknown_names_and_a_missing_mujoco_are_errors(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -208,9 +143,6 @@ def test_unknown_names_and_a_missing_mujoco_are_errors(monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ImportError, match=r"\.\[sim3d\]"):
         MujocoSimulator()
-
-
-# ---------------------------------------------------------------- the film
 
 
 @pytest.fixture
@@ -253,4 +185,3 @@ def test_film_shows_the_mission(tmp_path: Path) -> None:
     middle = np.s_[300:330, 500:530]  # on the area of the weed, right of the path
     assert first[middle].mean(axis=(0, 1))[0] > first[middle].mean(axis=(0, 1))[1] + 20  # orange
     assert last[middle].mean(axis=(0, 1))[1] > last[middle].mean(axis=(0, 1))[0] + 20  # green
-    assert np.abs(first - last).sum(axis=2).max() > 100

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import itertools
 import json
 import os
@@ -114,10 +113,6 @@ class Chromium:
         """Press and release a key, named as in ``KeyboardEvent.key``."""
         for kind in ("keyDown", "keyUp"):
             self.send("Input.dispatchKeyEvent", type=kind, key=key, modifiers=8 * shift)
-
-    def picture(self, path: Path) -> None:
-        data = self.send("Page.captureScreenshot", format="png")["data"]
-        path.write_bytes(base64.b64decode(data))
 
     def _receive(self, seconds: float = 30.0) -> dict[str, Any]:
         while b"\0" not in self._buffer:

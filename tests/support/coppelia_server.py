@@ -87,9 +87,9 @@ class CoppeliaServer:
         drawings: the items of the drawing objects, by their handles.
         steps: simulated since the last start.
         calls: the functions called, in order.
+        answer: to every request, in place of the right one.
         silent: no request is answered any more.
         endless: a step never comes to its end.
-        frozen: no vehicle moves.
         stops_at: the step after which somebody stops the simulation by hand.
         pauses_at: the step after which somebody pauses it by hand.
         winding_down: how many more passes a simulation takes to stop.
@@ -109,7 +109,8 @@ class CoppeliaServer:
         self.drawings: dict[int, list[list[float]]] = {}
         self.calls: list[str] = []
         self.state, self.steps = STOPPED, 0
-        self.silent = self.endless = self.frozen = False
+        self.answer = b""
+        self.silent = self.endless = False
         self.stops_at = self.pauses_at = 0
         self.winding_down = 3
 
@@ -138,7 +139,7 @@ class CoppeliaServer:
         while not self._stop.is_set():
             if self._socket.poll(1) and not self.silent:
                 request = cbor.loads(self._socket.recv())
-                self._socket.send(cbor.dumps(self._answer(request)))
+                self._socket.send(self.answer or cbor.dumps(self._answer(request)))
             stepped = any(client.stepping for client in self.clients.values())
             if self.state in (RUNNING, STOPPING) and not stepped:
                 self._advance()
@@ -195,7 +196,7 @@ class CoppeliaServer:
                 self.state = STOPPED
             return
         for thing in self.things.values():
-            if thing.target < 0 or self.frozen:
+            if thing.target < 0:
                 continue
             target = self.things[thing.target]
             if not self.steps:

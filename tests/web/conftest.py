@@ -11,7 +11,6 @@ from tests.support.chromium import MISSING, PROGRAM, Chromium
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
-    """One browser for all tests of a file."""
     if PROGRAM is None:
         pytest.skip(MISSING)
     with Chromium(tmp_path_factory.mktemp("chromium")) as running:

@@ -1,4 +1,4 @@
-"""Which robot visits which of the ROIs that are left, and in which order (mdp.md, "Entities")."""
+"""The assignment of the ROIs that are left to robots, in an order (mdp.md, "Entities")."""
 
 # ``Memory.plan`` has it, up to date at each observation. For n robots and m ROIs a world's numbers
 # are, in order: how far each robot goes in all (n), the ROI that each visits first (n), the robot
@@ -15,32 +15,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.engine.mdp.failures import ABSENT, WORKS, status_of
-from mbn_marl.engine.mdp.paths import (
-    CLOSE,
-    EDGES,
-    NEVER,
-    WAYPOINTS,
-    in_sight,
-    path_length,
-)
+from mbn_marl.engine.mdp.paths import CLOSE, EDGES, NEVER, WAYPOINTS, in_sight, path_length
 from mbn_marl.jit.compile import compiled
 from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import column, count_bits
 
 Floats = NDArray[np.floating[Any]]
 
+# In place of a first waypoint: the ROI is in straight sight, or no way is known.
 STRAIGHT, NO_WAY = -1, -2
-"""In place of a first waypoint: the ROI is in straight sight, or no way is known."""
+# In place of a robot or an ROI: none.
 END = -1
-"""In place of a robot or an ROI: none."""
+# Weights of the sum of the tours: both are tried to insert ROIs; changes use the latter.
 SUM, SPREAD = np.float32(1), np.float32(1 / 64)
-"""Weights of the sum of the tours: both are tried to insert ROIs; changes use the latter."""
+# The most changes of an assignment for each ROI of the field.
 CHANGES = 2
-"""How often an assignment is changed, at most, for each ROI of the field."""
+# The cost of a U-turn at an ROI, units; less for smaller turns, 0 up to a right angle.
 TURN_BACK = np.float32(16)
-"""The cost of a U-turn at an ROI, units; less for smaller turns, 0 up to a right angle."""
+# The cost of speeding up from standing, units; 0 at full speed, 4 times it from the wrong way.
 GO = np.float32(40)
-"""The cost of speeding up from standing, units; 0 at full speed, 4 times it from the wrong way."""
 
 
 def plan_size(n: int, m: int) -> int:
@@ -58,7 +51,7 @@ def plan_limits(n: int, m: int, waypoints: int) -> tuple[Floats, Floats]:
 
 
 def endless_orders(plan: Floats, n: int, m: int) -> NDArray[np.bool_]:
-    """In which worlds a robot's order of ROIs comes back to one of them, (W,); all in range."""
+    """Find the worlds, (W,), in which an order of ROIs comes back to one; all are in range."""
     worlds, at = np.arange(len(plan))[:, None], plan[:, n : 2 * n].astype(int)
     after = plan[:, 2 * n + 2 * m : 2 * n + 3 * m].astype(int)
     after = np.append(after, np.full((len(plan), 1), END), axis=1)  # END is followed by END
@@ -72,8 +65,6 @@ assigns = Feature(lambda mem: mem.plan.ndim == 2)
 
 
 class Tours(NamedTuple):
-    """The tours of the robots of world w."""
-
     plan: Any  # Memory.plan
     n: Any
     m: Any
@@ -82,7 +73,7 @@ class Tours(NamedTuple):
 
 @compiled
 def way_row(t, i, j):
-    """Where the length of robot i's way to ROI j is kept; n m rows on, its first waypoint."""
+    """The row of the length of robot i's way to ROI j; n m rows on is its first waypoint."""
     return 2 * t.n + 3 * t.m + t.m * i + j
 
 
@@ -167,7 +158,7 @@ def get_going(p, g, ep, t):
 
 @compiled
 def next_row(t, i, a):
-    """Where the ROI is kept that robot i visits after ROI a, or first of all if that is ``END``."""
+    """The row of the ROI that robot i visits after ROI a, or first of all if that is ``END``."""
     return t.n + i if a == END else 2 * t.n + 2 * t.m + a
 
 
@@ -197,7 +188,6 @@ def exchange(t, i, a, k, b):
 
 @compiled
 def tour_length(g, ep, t, i):
-    """The length of robot i's tour: the ways to its ROIs, and the cost of its turns there."""
     rois, legs, f, w = g.field.rois, g.paths.legs, column(g.field, t.w), t.w
     bent = g.paths.waypoints.shape[1] > 0 and g.paths.ways_in[WAYPOINTS, f] > 0
     total = ux = uy = t.plan[w, i] * 0
@@ -269,10 +259,8 @@ def insert_one(g, ep, t, weight):
 
 @compiled
 def best_move(g, ep, t, least):
-    """Find the ROI that had better be elsewhere, so that the cost is less than ``least``.
-
-    Return the cost, its robot, ``END`` if there is none, the ROI before it, and both elsewhere.
-    """
+    # Find the ROI that had better be elsewhere, so that the cost is less than ``least``. Return the
+    # cost, its robot, ``END`` if there is none, the ROI before it, and both elsewhere.
     robot, before, to, after = END, END, END, END
     for i in range(t.n):
         a, tour = END, t.plan[t.w, i]
@@ -290,10 +278,8 @@ def best_move(g, ep, t, least):
 
 @compiled
 def best_exchange(g, ep, t, least):
-    """Find two robots that had better exchange the ends of their orders, for less than ``least``.
-
-    Return the first, ``END`` if there is none, the ROI before its end, and both of the second.
-    """
+    # Find two robots that had better exchange the ends of their orders, for less than ``least``.
+    # Return the first, ``END`` if there is none, the ROI before its end, and both of the second.
     one, before, two, after = END, END, END, END
     for i in range(t.n):
         for k in range(i + 1, t.n):
@@ -374,7 +360,6 @@ def keep(g, ep, t):
 
 @compiled
 def assign(p, g, mem, ep, lo, hi):
-    """Assign the ROIs that are left to the robots that work, in each world of a block."""
     if assigns(mem):
         find_ways(g, mem, ep, lo, hi)
         n, m = ep.x.shape[0], g.field.rois.shape[1]
@@ -396,14 +381,7 @@ def assign(p, g, mem, ep, lo, hi):
 
 
 @compiled
-def turn_of(t, i, j):
-    """1 over the place of ROI j in the order of robot i, 0 if that does not visit it."""
-    visits = t.plan[t.w, 2 * t.n + j] == i
-    return t.plan[t.w, 2 * t.n + t.m + j] if visits else t.plan[t.w, 0] * 0
-
-
-@compiled
 def way_to(t, i, j):
-    """How far robot i's way to ROI j is, and its first waypoint, or ``STRAIGHT`` or ``NO_WAY``."""
+    """The length of robot i's way to ROI j; its first waypoint, ``STRAIGHT`` or ``NO_WAY``."""
     row = way_row(t, i, j)
     return t.plan[t.w, row], np.int64(t.plan[t.w, row + t.n * t.m])

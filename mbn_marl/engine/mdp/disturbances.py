@@ -19,8 +19,8 @@ from mbn_marl.jit.random_numbers import FOR_GUSTS, FOR_SENDING, normal, stream_o
 OF_ACTIONS = ("action_noise", "action_loss", "action_delay")
 OF_ROBOTS = ("gust", *OF_ACTIONS)
 OF_SIGHT = ("position_noise", "velocity_noise", "dropout")
+# The settings, 0 where they are off, that disturb actions, what robots do, and what they see.
 DISTURBANCES = (*OF_ROBOTS, *OF_SIGHT)
-"""The settings, 0 where they are off, that disturb actions, what robots do, and what they see."""
 MOST_ROBOTS, DRAWS = np.uint64(MAX_ROBOTS), np.uint64(4)
 
 
@@ -79,27 +79,22 @@ def queue_row(p, n, i, step):
 
 
 @compiled
-def send(p, mem, now, actions, i, lo, hi):
-    """Robot i's actions: clipped, lost, delayed, noised and clipped again, into ``mem.acted``."""
+def send(p, mem, now, actions, lo, hi):
+    """All actions: clipped, lost, delayed, noised and clipped again, into ``mem.acted``."""
     n, late, queue = actions.shape[1], p.action_delay, now.queue
-    for w in range(lo, hi):
-        step, q = now.steps[w], numbers_of(p, now, w)
-        key = stream_of(mem.key[w], FOR_SENDING)
-        counter = (np.uint64(step) * MOST_ROBOTS + np.uint64(i)) * DRAWS
-        lost = uniform(key, counter) < q.action_loss
-        for axis in range(2):
-            last = queue[queue_row(p, n, i, step + late) + axis, w]
-            given = clip(actions[w, i, axis], -p.one, p.one)
-            queue[queue_row(p, n, i, step) + axis, w] = select(lost, last, given)
-            noise = q.action_noise * normal(key, counter + np.uint64(1 + axis))
-            arrived = queue[queue_row(p, n, i, step + 1) + axis, w] + noise
-            mem.acted[w, i, axis] = clip(arrived, -p.one, p.one)
-
-
-@compiled
-def send_all(p, mem, now, actions, lo, hi):
-    for i in range(actions.shape[1]):
-        send(p, mem, now, actions, i, lo, hi)
+    for i in range(n):
+        for w in range(lo, hi):
+            step, q = now.steps[w], numbers_of(p, now, w)
+            key = stream_of(mem.key[w], FOR_SENDING)
+            counter = (np.uint64(step) * MOST_ROBOTS + np.uint64(i)) * DRAWS
+            lost = uniform(key, counter) < q.action_loss
+            for axis in range(2):
+                last = queue[queue_row(p, n, i, step + late) + axis, w]
+                given = clip(actions[w, i, axis], -p.one, p.one)
+                queue[queue_row(p, n, i, step) + axis, w] = select(lost, last, given)
+                noise = q.action_noise * normal(key, counter + np.uint64(1 + axis))
+                arrived = queue[queue_row(p, n, i, step + 1) + axis, w] + noise
+                mem.acted[w, i, axis] = clip(arrived, -p.one, p.one)
 
 
 @compiled

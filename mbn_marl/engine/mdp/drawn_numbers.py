@@ -1,7 +1,7 @@
 """Numbers of the configuration that each episode draws (mdp.md, "Drawn numbers")."""
 
 # ``Episode.drawn`` has them for each world: what they are made into, then the numbers themselves.
-# Where nothing is drawn, ``numbers_of`` and ``limits_in`` return the constants.
+# If nothing is drawn, ``numbers_of`` and ``limits_in`` return the constants.
 #
 # Source: this package.
 
@@ -18,29 +18,29 @@ from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import cosine, exponential, sine, turned
 from mbn_marl.jit.random_numbers import FOR_NUMBERS, stream_of, uniform
 
+# The names of the numbers that are not a robot's own, in the order of ``numbers``.
 SINGLE = ("wind_speed", "wind_angle", *NUMBERS, "failure_rate")
-"""The names of the numbers that are not a robot's own, in the order of ``numbers``."""
+# The first rows of ``Episode.drawn``; those of ``SINGLE`` and of each robot follow.
 MADE = (
     *("wind_x", "wind_y", "gust_kept", "gust_added", "safety_squared", "roi_squared"),
     *("failing_robot", "failing_step"),
 )
-"""The first rows of ``Episode.drawn``; those of ``SINGLE`` and of each robot follow."""
 WIND_X, WIND_Y, GUST_KEPT, GUST_ADDED, SAFETY, ROI, ROBOT, STEP = range(len(MADE))
 SPEED, ANGLE, GUST, GUST_TIME = map(SINGLE.index, ("wind_speed", "wind_angle", *NUMBERS[:2]))
 DISTANCE, RADIUS = SINGLE.index("safety_distance"), SINGLE.index("roi_radius")
 FIRST, FIRST_LIMIT = len(MADE), len(MADE) + len(SINGLE)
+# The rows of ``Team.limits``.
 MASS, F_MAX, V_CLIP = range(len(LIMITS))
-"""The rows of ``Team.limits``."""
+# The rows of ``Team.ranges``, whose columns are the numbers of ``SINGLE`` and each robot's.
 LOW, WIDTH, COUNTER = range(3)
-"""The rows of ``Team.ranges``, whose columns are the numbers of ``SINGLE`` and each robot's."""
+# The counter of the draw of the robot that fails; its step's is the next.
 FAILING = 1000
-"""The counter of the draw of the robot that fails; its step's is the next."""
 RADIANS = math.pi / 180.0
 
 
 NAMES = (*MADE[:ROBOT], *NUMBERS, "failure_rate")
+# The constants of a step that an episode may draw, for one world.
 Numbers = namedtuple("Numbers", NAMES)  # type: ignore[misc]
-"""The constants of a step that an episode may draw, for one world."""
 
 
 def _row(name: str) -> int:
@@ -52,6 +52,7 @@ draws_numbers = Feature(lambda ep: ep.drawn.ndim == 2)
 _DRAWN = ", ".join(f"ep.drawn[{_row(name)}, w]" for name in NAMES)
 _FIXED = ", ".join(f"p.{name}" for name in NAMES)
 # Seventeen names, twice: written by a loop over them.
+# The numbers of world w: its own, or the constants ``p`` where nothing is drawn.
 numbers_of = generated(
     "numbers_of",
     "def numbers_of(p, ep, w):\n"
@@ -60,7 +61,6 @@ numbers_of = generated(
     Numbers=Numbers,
     draws_numbers=draws_numbers,
 )
-"""The numbers of world w: its own, or the constants ``p`` where nothing is drawn."""
 
 
 def is_drawn(config: NavigationConfig) -> bool:
@@ -114,7 +114,6 @@ def limits_of(g, i):
 
 @compiled
 def limits_in(limits, ep, i, w):
-    """Mass, force and speed limit of robot i in world w, from ``limits_of`` it."""
     # A speed limit that is drawn is at most that of all worlds.
     if draws_numbers(ep):
         n = (ep.drawn.shape[0] - FIRST_LIMIT) // len(LIMITS)
@@ -148,7 +147,6 @@ def is_failing_step(ep, i, step, w):
 
 @compiled
 def draw_numbers(p, g, ep, episode_key, team, w):
-    """Draw the numbers of the episode that world w begins with ``team`` robots."""
     ranges, drawn = g.team.ranges, ep.drawn
     if draws_numbers(ep):
         key = stream_of(episode_key, FOR_NUMBERS)

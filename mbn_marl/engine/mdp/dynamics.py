@@ -1,4 +1,4 @@
-"""How a robot moves: its dynamics, by name (mdp.md, "One step", 1 and 2, and "Dynamics")."""
+"""The moves of a robot: its dynamics, by name (mdp.md, "One step", 1 and 2, and "Dynamics")."""
 
 # A dynamics is a function on the robots i of a block of worlds. It writes the velocity that the
 # robot would have next and where that would take it, and, if its robots have a heading, that too;
@@ -19,8 +19,8 @@ from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import clip, cosine, length, select, sine, tangent, turned
 
 POINT_MASS, HOLONOMIC, UNICYCLE, BICYCLE = range(4)
+# Robots of those from the unicycle on have a heading.
 DYNAMICS = {name: number for number, name in enumerate(get_args(Dynamics))}
-"""Robots of those from the unicycle on have a heading."""
 
 mixes_dynamics = Feature(lambda g: g.team.kinds.ndim == 1)
 
@@ -45,7 +45,6 @@ def force(action, f_max, one):
 
 @compiled
 def next_velocity(velocity, thrust, mass, wind, v_clip):
-    """``v' = clip(v + u / M + wind, -v_clip, v_clip)``, one axis."""
     return clip(add_wind(velocity + thrust / mass, wind), -v_clip, v_clip)
 
 
@@ -103,7 +102,6 @@ def move_point_mass(p, g, now, to, actions, i, lo, hi):
 
 @compiled
 def move_holonomic(p, g, now, to, actions, i, lo, hi):
-    """A robot i whose action is a velocity, which it takes as fast as its force allows."""
     limits = limits_of(g, i)
     for w in range(lo, hi):
         q, (mass, f_max, v_clip) = numbers_of(p, now, w), limits_in(limits, now, i, w)
@@ -138,7 +136,7 @@ def drive(p, limits, now, actions, i, w, cos, sin):
 
 @compiled
 def go_ahead(p, now, to, i, lo, hi):
-    """Where the speeds in ``to.vx`` take robot i along its new headings: ``v' = s' (cos, sin)``."""
+    """Move robot i along its new headings by the speeds in ``to.vx``: ``v' = s' (cos, sin)``."""
     for w in range(lo, hi):
         k, speed = w - lo, to.vx[w - lo]
         go(numbers_of(p, now, w), now, to, i, w, k, speed * to.cos[k], speed * to.sin[k])
@@ -146,7 +144,6 @@ def go_ahead(p, now, to, i, lo, hi):
 
 @compiled
 def move_unicycle(p, g, now, to, actions, i, lo, hi):
-    """A robot i that turns on the spot by up to ``turn_max``, then speeds up along its heading."""
     limits = limits_of(g, i)
     for w in range(lo, hi):
         q = numbers_of(p, now, w)
@@ -161,7 +158,6 @@ def move_unicycle(p, g, now, to, actions, i, lo, hi):
 
 @compiled
 def move_bicycle(p, g, now, to, actions, i, lo, hi):
-    """A robot i that speeds up along its heading, then turns by its speed and steering angle."""
     limits = limits_of(g, i)
     for w in range(lo, hi):  # the tangent is kept where it is rounded to the engine's precision
         steering = clip(actions[w, i, 1], -p.one, p.one) * numbers_of(p, now, w).steer_max
@@ -205,7 +201,6 @@ def keep_heading(g, now, to, i, lo, hi):
 
 @compiled
 def face_along_x(p, g, now, w):
-    """Begin an episode of world w: headings are 0, and robots without one have no direction."""
     if mixes_dynamics(g):
         for i in range(now.heading.shape[0]):
             now.heading[i, w] = p.zero

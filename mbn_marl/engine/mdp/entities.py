@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from mbn_marl.engine.mdp import lidar
-from mbn_marl.engine.mdp.assignment import STRAIGHT, Tours, assigns, turn_of, way_to
+from mbn_marl.engine.mdp.assignment import STRAIGHT, Tours, assigns, way_to
 from mbn_marl.engine.mdp.drawn_numbers import numbers_of
 from mbn_marl.engine.mdp.failures import WORKS, blank_gone, put_flag, status_of
 from mbn_marl.engine.mdp.sight import (
@@ -28,18 +28,15 @@ from mbn_marl.jit.compile import compiled
 from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import clip, column, select
 
+# NEAR and FAR: the lengths that become 1/2, units.
 SCALES = np.array([15.0, 100.0])
-"""NEAR and FAR: the lengths that become 1/2, units."""
+# The steps ahead for which the approach of another robot is foreseen.
 STEPS_AHEAD = np.float32(15.0)
-"""How far ahead the approach of another robot is foreseen, steps."""
 
 
 def entity_rows(n: int, m: int, turns: bool, flag: str, assigned: bool) -> list[Row]:
-    """The entries of ``entities`` for a team of n robots and m ROIs.
-
-    ``turns``: whether robots have headings; ``flag``: the name of the flag of robots that have
-    failed, or none; ``assigned``: whether ROIs are assigned.
-    """
+    # ``turns``: robots have headings; ``flag``: the name of the flag of robots that have failed, or
+    # none; ``assigned``: ROIs are assigned.
     near, far = (f"soft, {scale:g} units" for scale in SCALES)
     rows = [(f"own_v{a}", -1.0, 1.0, "speed limits") for a in "xy"]
     rows += heading_rows("own", turns) + flag_row("own", flag) + lidar.wall_rows()
@@ -87,7 +84,7 @@ def norm(x, y):
 
 @compiled
 def closest(dx, dy, dvx, dvy, most):
-    """How near something at an offset comes in a time up to ``most`` if it keeps its velocity."""
+    """The least distance, up to time ``most``, of a thing at an offset that keeps its velocity."""
     square = dvx * dvx + dvy * dvy
     time = clip(-(dx * dvx + dy * dvy) / square, most * 0, most)
     time = select(square > 0, time, most * 0)
@@ -178,14 +175,14 @@ def put_plan(p, g, view, lo, hi, j, k):
     for w in range(lo, hi):
         tours = Tours(view.plan, n, m, w)
         way, first = way_to(tours, i, j)
-        tile[k + 9, w - lo] = turn_of(tours, i, j)
+        tile[k + 9, w - lo] = (
+            view.plan[w, 2 * n + m + j] if view.plan[w, 2 * n + j] == i else p.zero
+        )
         tile[k + 10, w - lo] = p.one if first == STRAIGHT else p.zero
         if first >= 0:
             f = column(g.field, w)
-            dx, dy = (
-                waypoints[0, first, f] - robots.x[i, w],
-                waypoints[1, first, f] - robots.y[i, w],
-            )
+            dx = waypoints[0, first, f] - robots.x[i, w]
+            dy = waypoints[1, first, f] - robots.y[i, w]
             put_direction(p, scales, dx, dy, tile, k + 1, w - lo)
             tile[k + 7, w - lo] = soft(way, scales[1])
 

@@ -12,7 +12,6 @@ ON_EDGE = 2
 
 @compiled
 def cross_edge(crossings, px, py, ax, ay, bx, by):
-    """Account for the edge a-b of the field in the containment test of point p."""
     # A ray from p to +x crosses the outline an odd number of times if p is inside (bit
     # ``EDGE_CROSSED`` of ``crossings``); a point on an edge belongs to the field (bit ``ON_EDGE``).
     # So p is in the closed field exactly if they are not zero after all edges, holes' among them.

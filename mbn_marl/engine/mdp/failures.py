@@ -13,8 +13,8 @@ from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import clip, select
 from mbn_marl.jit.random_numbers import FOR_FAILURES, stream_of, uniform
 
+# The status of a robot; an absent one is not in the team of its world.
 WORKS, FAILED, ABSENT = range(3)
-"""The status of a robot; an absent one is not in the team of its world."""
 BRAKE, COAST, VANISH = range(3)
 KINDS = {"brake": BRAKE, "coast": COAST, "vanish": VANISH}
 
@@ -75,7 +75,6 @@ def fail(p, g, mem, now, to, i, lo, hi):
 
 @compiled
 def failed_velocity(p, velocity, brake, wind, v_clip):
-    """The next velocity of a failed robot that is there, along an axis or its heading."""
     slower = velocity - clip(velocity, -brake, brake)
     blown = next_velocity(velocity, p.zero, p.one, wind, v_clip)
     return select(p.failure_kind == BRAKE, slower, blown)

@@ -19,11 +19,11 @@ from mbn_marl.jit.features import Feature
 from mbn_marl.jit.functions import HALF, MANY, clip, column, select
 
 FAR = np.float32(np.inf)
+# Of a position, in arenas: a little more than float32's.
 ROUNDING = np.float32(1e-6)
-"""Of a position, in arenas: a little more than float32's."""
 S = math.sqrt(0.5)
+# The directions of the rays, (2, 8): unit vectors, counter-clockwise from +x.
 RAYS = np.array([[1, S, 0, -S, -1, -S, 0, S], [0, S, 1, S, 0, -S, -1, -S]])
-"""The directions of the rays, (2, 8): unit vectors, counter-clockwise from +x."""
 
 
 def rays_of(radius: float, arena: tuple[float, float]) -> NDArray[np.float64]:
@@ -53,7 +53,7 @@ def slack(p, g):
 
 @compiled
 def reading(p, behind, a_side, b_side, turn, along):
-    """Where a ray leaves the field by an edge, 0 at its start to 1 at its end; 1 elsewhere."""
+    """The place on a ray, 0 to 1, where it leaves the field by an edge; 1 if it does not."""
     # ``a_side``, ``b_side`` and ``turn`` are the ray's direction crossed with the edge's ends and
     # with the edge; ``along`` is where the ray meets the line of the edge. A ray through a corner
     # leaves by both of its edges, so none slips between them; one along an edge leaves by the next.
@@ -64,7 +64,6 @@ def reading(p, behind, a_side, b_side, turn, along):
 
 @compiled
 def distance_squared(p, ax, ay, ex, ey):
-    """From the robot to the nearest point of the edge, squared; (ex, ey) is the edge b - a."""
     square = ex * ex + ey * ey
     per_square = select(square > 0, p.one / square, p.zero)
     along = clip(-(ax * ex + ay * ey) * per_square, p.zero, p.one)
@@ -74,7 +73,7 @@ def distance_squared(p, ax, ay, ex, ey):
 
 @compiled
 def braking_path(p, tau, velocity, brake, wind, beyond):
-    """How far a robot goes until the force that brakes it by ``brake`` a step has stopped it."""
+    """The way of a robot until the force that brakes it by ``brake`` a step has stopped it."""
     # One axis; ``beyond``, and on, if the wind is stronger. The speed falls by the same amount each
     # step, and in the last one to 0: the path is the mean of the first and the last speed that is
     # left, times their number.
@@ -142,7 +141,7 @@ def put_rays(p, g, view, lo, hi, k):
 
 @compiled
 def put_margins(p, g, view, lo, hi, k):
-    """When the observer would reach the wall, and, two entries on, how far the nearest one is."""
+    """The time until the observer reaches the wall, and, two entries on, its least distance."""
     ep, tile, i = view.ep, view.tile, view.i
     per_radius, behind = p.one / g.team.rays[0, 0], slack(p, g)
     per_time = p.top_speed * per_radius
@@ -166,7 +165,7 @@ def put_margins(p, g, view, lo, hi, k):
 
 @compiled
 def place_of_rest(p, g, view, q, brake, w):
-    """Where the observer would stop if it braked from now on: along its heading, if it has one."""
+    """The place at which the observer would stop if it braked from now on."""
     ep, i = view.ep, view.i
     x, y, vx, vy = ep.x[i, w], ep.y[i, w], ep.vx[i, w], ep.vy[i, w]
     if has_heading(g, i):
@@ -181,7 +180,7 @@ def place_of_rest(p, g, view, q, brake, w):
 
 @compiled
 def put_brake(p, g, view, lo, hi, k):
-    """Whether the observer would stop in the field if it braked from now on."""
+    """A flag: the observer would stop in the field if it braked from now on."""
     ep, edges, tile, i = view.ep, g.field.edges, view.tile, view.i
     limits = limits_of(g, i)
     for w in range(lo, hi):

@@ -44,8 +44,8 @@ RELATIVE, STATE, LOCAL, LIDAR, LIDAR_LOCAL, ENTITIES = range(6)
 OBSERVATIONS = {name: number for number, name in enumerate(get_args(Observation))}
 LIDARS = ("lidar", "lidar_local")
 WITH_RAYS = (*LIDARS, "entities")
+# The observations that depend on the sensing radius.
 WITH_RADIUS = ("local", *WITH_RAYS)
-"""The observations that depend on the sensing radius."""
 
 
 class Entry(NamedTuple):
@@ -69,10 +69,7 @@ class Entry(NamedTuple):
 def observation_table(
     config: NavigationConfig, n: int, m: int, arena: tuple[float, float], teams_vary: bool = False
 ) -> tuple[Entry, ...]:
-    """The entries of one robot's observation, in order, for a team of n robots and m ROIs.
-
-    ``teams_vary``: whether there may be fewer robots in an episode.
-    """
+    """The entries of a robot's observation; if ``teams_vary``, episodes may have fewer robots."""
     rows: list[Row]
     turns = count_headings(config.of_each("dynamics", n)) > 0
     flag = "failed" if config.failures else "absent" if teams_vary else ""
@@ -336,7 +333,6 @@ def turn_over(tile, lo, hi, i, rows):
 
 @compiled
 def observe(p, g, mem, ep, lo, hi, tile, rows):
-    """Write the observations of worlds ``lo`` to ``hi - 1`` to ``rows`` (W, n, size)."""
     assign(p, g, mem, ep, lo, hi)
     # An entry of all worlds at once is one vector loop, but its places in ``rows`` are far apart.
     # So entries are made in ``tile``, where worlds lie side by side, and then turned over.

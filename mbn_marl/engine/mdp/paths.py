@@ -16,22 +16,20 @@ from mbn_marl.field.generator.layout import Tables
 from mbn_marl.jit.compile import compiled, entry_point
 from mbn_marl.jit.functions import count_bits
 
+# The distance of waypoints from their corners, units.
 CLEARANCE = np.float32(3.0)
-"""How far waypoints are from their corners, units."""
+# The sine of the turn up to which a corner counts as straight.
 BLUNT = np.float32(1e-3)
-"""The sine of the turn up to which a corner counts as straight."""
+# Ways whose lengths differ by no more are equally long, units.
 CLOSE = np.float32(1e-3)
-"""Ways whose lengths differ by no more are equally long, units."""
+# The weight of a leg's shorter side.
 SHORTER = np.float32(1 / 8)
-"""The weight of a leg's shorter side."""
 NEVER = np.float32(np.inf)
+# The rows of ``ways_in``.
 EDGES, WAYPOINTS = range(2)
-"""The rows of ``ways_in``."""
 
 
 class Paths(NamedTuple):
-    """The paths in each of F fields with m ROIs."""
-
     waypoints: Any  # (2, C, F) real, units; C is 0 if nothing is assigned
     legs: Any  # (m + C, m + C, F) real: from each ROI, then each waypoint, to each; units
     ways_in: Any  # (2, F) int32: how many edges and waypoints are there, the first ones
@@ -39,8 +37,8 @@ class Paths(NamedTuple):
 
 @compiled
 def path_length(dx, dy):
-    """How far it is: forces and speed limits are per axis, so the longer side takes the time."""
-    # The shorter one tells ways apart that take the same.
+    # Forces and speed limits are per axis, so the longer side takes the time. The shorter one tells
+    # ways apart that take the same.
     dx, dy = abs(dx), abs(dy)
     return max(dx, dy) + SHORTER * min(dx, dy)
 
@@ -170,7 +168,6 @@ def no_paths(waypoints: int, m: int, count: int, real: Any) -> Paths:
 
 
 def make_paths(field: Tables) -> Paths:
-    """The paths in given fields, with room for the most waypoints that one has."""
     m = field.rois.shape[1]
     paths = no_paths(field.edges.shape[1], m, len(field.codes), field.edges.dtype)
     find_all(field, paths)

@@ -20,8 +20,8 @@ BITS_PER_KEY = 16
 KEYS_PER_WORD = np.uint64(64 // BITS_PER_KEY)
 BITS_SET = 5
 LEAST_WORDS = 32
+# Filters lie an odd number of cache lines apart, so that they spread over all cache sets.
 ODD_LINES = 8
-"""Filters lie an odd number of cache lines apart, so that they spread over all cache sets."""
 
 ONE = np.uint64(1)
 BIT = np.uint64(63)
@@ -31,7 +31,7 @@ EMPTY = np.uint64(0)
 
 
 def filter_size(keys: int) -> int:
-    """How many 64-bit words, a power of two, filter ``keys`` keys."""
+    """The number of 64-bit words, a power of two, that filter ``keys`` keys."""
     words = LEAST_WORDS
     while words * 64 < keys * BITS_PER_KEY:
         words *= 2
@@ -92,10 +92,8 @@ def stood_on(trail, trail_key, world, first, entry):
             matches += trail_key[world, k] == key
         if matches > 0:
             for k in range(start, stop):
-                if (
-                    trail[world, k, 0] == trail[world, entry, 0]
-                    and trail[world, k, 1] == trail[world, entry, 1]
-                ):
+                same_x = trail[world, k, 0] == trail[world, entry, 0]
+                if same_x and trail[world, k, 1] == trail[world, entry, 1]:
                     return True
         stop = start
     return False

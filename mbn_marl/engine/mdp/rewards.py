@@ -32,11 +32,11 @@ RESTED = 16  # the world was reset, or left out: nothing happened, nothing was e
 
 OWN_TERMS = ("step", "revisit", "wall", "roi")
 TEAM_TERMS = ("step", "revisit", "success", "collision")
+# ``step`` and ``revisit`` are a robot's own when ``released``, the team's when ``formal``.
 SHARED = 2
-"""``step`` and ``revisit`` are a robot's own when ``released``, the team's when ``formal``."""
 REWARD_TERMS = (*OWN_TERMS, *TEAM_TERMS[SHARED:])
+# The places of the ``TEAM_TERMS`` among the ``REWARD_TERMS``.
 TEAM_COLUMNS = tuple(map(REWARD_TERMS.index, TEAM_TERMS))
-"""The places of the ``TEAM_TERMS`` among the ``REWARD_TERMS``."""
 
 
 @compiled
@@ -75,7 +75,6 @@ def team_terms(p, weights, outcome):
 
 
 def _total_of(names: tuple[str, ...]) -> Any:
-    """``total(terms)``: the sum of these terms, from the first to the last."""
     terms = " + ".join(f"terms[{k}]" for k in range(len(names)))
     return generated("total", f"def total(terms):\n    return {terms}\n")
 

@@ -19,8 +19,8 @@ ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 
 disturbs_sight = Feature(lambda mem: mem.sensed.ndim == 2)
 
+# An entry: its name, bounds and unit.
 Row = tuple[str, float, float, str]
-"""An entry: its name, bounds and unit."""
 
 
 class View(NamedTuple):

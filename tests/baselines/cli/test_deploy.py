@@ -60,21 +60,6 @@ def test_the_command_sweeps_the_wind(small_file: str, tmp_path: Path) -> None:
     assert {row["strongest_wind"] for row in rows} == {0.1}
 
 
-def test_a_policy_of_yours_is_deployed_in_its_own_wind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    module = "class Still:\n    settings = {'wind': (0.2, 90.0), 'max_steps': 3}\n"
-    module += "    def __init__(self, field):\n        pass\n"
-    module += "    def act(self, seen, *, deterministic):\n        return 0.0 * seen[..., :2]\n"
-    (tmp_path / "still.py").write_text(module)
-    monkeypatch.chdir(tmp_path)
-    command = ["deploy", "still:Still", "--field", "field_03", "--sim", "plane", "--force"]
-    for asked, wind in (([], (0.2, 90.0)), (["--wind", "0", "0"], (0.0, 0.0))):
-        assert main([*command, *asked, "--json", "numbers.json"]) == 0
-        (row,) = json.loads(Path("numbers.json").read_text())["deployments"]
-        assert (row["wind_speed"], row["wind_angle"]) == wind
-
-
 @pytest.mark.parametrize(
     ("options", "place"),
     [
@@ -91,22 +76,6 @@ def test_a_policy_of_yours_is_deployed_in_its_own_wind(
 )
 def test_wrong_options_are_refused_by_place(options: str, place: str, refusal: Refusal) -> None:
     assert place in refusal(["deploy", *options.split()])
-
-
-@pytest.mark.all
-def test_the_command_deploys_under_a_condition(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A policy that knows nothing of failures; in the plane it is the environment's episode."""
-    numbers = tmp_path / "numbers.json"
-    command = ["deploy", "zoo:field_01", "--sim", "plane", "--condition", "storm"]
-    assert main([*command, "--json", str(numbers)]) == 0
-    (row,) = json.loads(numbers.read_text())["deployments"]
-    assert 0.1 <= row["wind_speed"] <= 0.25
-    failed = [step for step in row["failed"] if step is not None]
-    assert len(failed) == 1 and 5 <= failed[0] <= 60
-    shown = capsys.readouterr().out
-    assert f"{row['outcome']}, 1 failed" in shown and "storm" in shown
 
 
 COMMANDS = """

@@ -20,7 +20,6 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An episode's file, of the zoo's policy."""
     path = tmp_path_factory.mktemp("episodes") / "learned.json"
     assert main(["render", "zoo:field_03", "-o", str(path)]) == 0
     return path
@@ -47,18 +46,6 @@ def test_replay_writes_a_page_and_nothing_over_another(
     assert out.read_text() == text
     assert main(["replay", str(other), "-o", str(out), "--force"]) == 0
     assert (tmp_path / "page.html.1").read_text() == text
-
-
-@pytest.mark.parametrize(
-    "change", [("", "{"), ("episode/1", "episode/9"), ('"tau":1.0', '"tau":2.0')]
-)
-def test_replay_names_a_wrong_file(
-    change: tuple[str, str], recorded: Path, tmp_path: Path, refusal: Refusal
-) -> None:
-    bad = tmp_path / "bad.json"
-    bad.write_text(recorded.read_text().replace(*change, 1))
-    assert str(bad) in refusal(["replay", str(recorded), str(bad), "-o", "page.html"])
-    assert [*tmp_path.iterdir()] == [bad]
 
 
 def test_render_shows_a_recorded_episode(
@@ -114,15 +101,45 @@ def test_random_fields_are_made(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert load_field(out / "farm-8.yaml") == made[3], "nothing is written over"
 
 
-@pytest.mark.parametrize(
-    ("words", "places"),
-    [
-        ("field_03 --seed 2 -o out", ["seed, out: "]),
-        ("field_03 --generate farm --count 0", ["generate: ", "count: "]),
-        ("field_03 --from a.wkt --size 9 10 -o a.png", ["size: ", "from: ", "out: "]),
-        ("--generate farm --metres-per-unit 2", ["metres_per_unit: "]),
-    ],
-)
-def test_wrong_options_of_fields(words: str, places: list[str], refusal: Refusal) -> None:
-    error = refusal(["fields", *words.split()])
-    assert all(place in error for place in places)
+OWN = """
+import numpy as np
+
+class Turns:
+    def __init__(self, field):
+        self.settings = {"wind": (0.2, 90.0)}
+
+    def act(self, seen, deterministic=True):
+        return np.ones((*seen.shape[:2], 2), np.float32)
+"""
+COMMANDS = {
+    "render": ["-o", "a.json", "--steps", "1"],
+    "evaluate": ["--episodes", "1", "--record", "records"],
+    "deploy": ["--sim", "plane"],
+    "export": ["-o", "x.npz"],
+    "benchmark": [],
+    "watch": [],
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_an_unknown_policy_is_answered_with_a_known_one(command: str, refusal: Refusal) -> None:
+    fields = [] if command == "benchmark" else ["--field", "field_03"]
+    error = refusal([command, "greddy", *fields, *COMMANDS[command]])
+    assert "greddy: unknown policy (did you mean greedy?)" in error
+
+
+def test_episodes_are_of_the_policy_the_field_and_the_wind_that_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "turning.py").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+    source = ["turning:Turns", "--field", "field_05"]
+    for asked, wind in (([], (0.2, 90.0)), (["--wind", "0.1", "30"], (0.1, 30.0))):
+        for command, path in (("render", "a.json"), ("evaluate", "records/best.json")):
+            assert main([command, *source, *asked, *COMMANDS[command], "--force"]) == 0
+            episode = load_episode(path)
+            assert (episode.field.name, episode.config.wind) == ("field_05", wind)
+            assert "turning:Turns" in episode.source and (wind[0] == 0.2 or "30" in episode.source)
+    windy = ["--condition", "windy", *COMMANDS["render"], "--force"]
+    assert main(["render", "greedy", "--field", "field_03", *windy]) == 0
+    assert "windy" in load_episode("a.json").source

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import subprocess
+from typing import Any
 
 import pytest
 
 from baselines.cli import fields
-from baselines.cli.main import COMMANDS, main
+from baselines.cli.main import COMMANDS, main, read_command
 from mbn_marl import __version__
 from tests.baselines.conftest import Refusal
 from tests.support.terminal import MBN
@@ -69,3 +70,35 @@ def test_reader_may_leave(words: list[str]) -> None:
         process.stdout.close()
         assert process.stderr.read() == ""
     assert process.returncode == 1
+
+
+def test_numbers_may_be_written_short() -> None:
+    words = ("train ppo field_03", "--steps 2.5e1", "--num-envs 1_000", "--seed 3e2")
+    train = read_command(" ".join(words).split())
+    config: Any = train.config
+    assert (config.steps, config.num_envs, config.seed) == (25, 1000, 300)
+    assert read_command(["plan", "field_03", "--wind", "-1e1", "2"]).wind == (-10.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [
+        ("train ppo", "FIELD"),
+        ("train ppo field_03 --stps 3", "--stps"),
+        ("train ppo field_03 --steps many", "--steps"),
+        ("train ppo field_03 --seed 1.5", "--seed"),
+        ("train ppo field_03 --setting Q", "'A'"),
+        ("compare --seeds 1 b", "--seeds"),
+        ("plan field_03 --wind 1", "--wind"),
+        ("plan field_03 y", "y"),
+    ],
+)
+def test_wrong_option_is_named(words: str, place: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words.split()) == 2 and place in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_of_every_command(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([name, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert f"usage: mbn {name} " in text and ("--out" in text) == (" -o " in text)

@@ -49,11 +49,6 @@ def test_a_plan_that_is_not_proved_is_kept_but_not_in_the_field(
     assert (out / "plan.json").exists() and path.read_text() == CATALOGUE.read_text()
 
 
-def test_an_optimum_that_is_not_written(refusal: Refusal) -> None:
-    for words in (["field_03"], [str(CATALOGUE), "--wind", "0.1", "0"]):
-        assert "write: " in refusal(["plan", *words, "--write"])
-
-
 @pytest.mark.slow
 def test_an_optimum_is_written_from_the_plan_that_is_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refusal: Refusal

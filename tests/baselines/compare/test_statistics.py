@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from scipy import stats
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
+from baselines.compare import curves
 from baselines.compare import summary as stratified
+from baselines.compare.curves import Panel
 from baselines.compare.summary import Estimate
+from mbn_marl.errors import MbnError
+from mbn_marl.render import style
 
 
 def test_the_interquartile_mean_cuts_a_quarter_at_both_ends() -> None:
@@ -15,11 +22,6 @@ def test_the_interquartile_mean_cuts_a_quarter_at_both_ends() -> None:
     scores = np.array([[0.0, 100.0, 3.0, 9.0], [1.0, 4.0, 2.0, -50.0]])
     assert stratified.interquartile_mean(scores).value == np.mean([1.0, 2.0, 3.0, 4.0])
     assert stratified.interquartile_mean(np.array([[9.0, 1.0, 2.0, 3.0, 70.0]])).value == 14.0 / 3.0
-
-
-def test_the_optimality_gap_is_the_mean_shortfall() -> None:
-    # Short of 1 by 0.5, 0, 0 (not -1) and 3.
-    assert stratified.optimality_gap(np.array([[0.5, 1.0], [2.0, -2.0]])).value == 0.875
 
 
 def test_a_resample_stays_within_each_field() -> None:
@@ -37,19 +39,6 @@ def test_an_interval_by_hand() -> None:
     # Three: 0 and 1 with 1/64 each, less than 2.5 %; 1/6 and less with 1/64 + 6/64.
     low, high = stratified.optimality_gap(np.array([[0.0, 1.0]] * 3))[1:]
     assert (low, high) == pytest.approx((1 / 6, 5 / 6))
-
-
-def test_the_interval_is_the_bootstrap_of_scipy_in_one_field() -> None:
-    scores = np.random.default_rng(1).normal(0.5, 0.1, (1, 12))
-    ours = stratified.interquartile_mean(scores)
-    theirs = stats.bootstrap(
-        (scores[0],),
-        lambda runs, axis: stats.trim_mean(runs, 0.25, axis=axis),
-        n_resamples=10_000,
-        method="percentile",
-        rng=np.random.default_rng(2),
-    ).confidence_interval
-    assert ours[1:] == pytest.approx((theirs.low, theirs.high), abs=0.01)
 
 
 def test_one_seed_has_no_interval() -> None:
@@ -78,3 +67,41 @@ def test_the_performance_profile_counts_runs_above() -> None:
     # Above 0.9: the second field's runs are drawn 0.5 twice, once, or never, 1/4, 1/2, 1/4.
     assert (profile.low[3], profile.high[3]) == (0.0, 0.5)
     assert (profile.low[0], profile.high[0]) == (1.0, 1.0)
+
+
+def labels_of(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def run(steps: Any, returns: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return np.array(steps, np.float64), np.array(returns, np.float64)
+
+
+def test_mean_and_band_by_hand() -> None:
+    # The bootstrap means of two seeds are low, half, high with odds 1/4, 1/2, 1/4.
+    seeds = [run([0, 10, 20], [0, 10, 0]), run([5, 15, 30], [20, 30, 30])]
+    steps, mean, low, high = curves.mean_and_band("a", seeds)
+    assert steps.tolist() == [5.0, 10.0, 15.0, 20.0]
+    assert mean.tolist() == [12.5, 17.5, 17.5, 15.0]
+    assert low.tolist() == [5.0, 10.0, 5.0, 0.0]
+    assert high.tolist() == [20.0, 25.0, 30.0, 30.0]
+    with pytest.raises(MbnError, match="a: "):
+        curves.mean_and_band("a", [run([0, 1], [0, 1]), run([2, 3], [0, 1])])
+
+
+def test_panels_have_common_axes_and_one_legend() -> None:
+    panels = {
+        "one": Panel({"b": [run([0, 10], [0, 9])]}, 20.0),
+        "two": Panel({"a": [run([0, 30], [0, 5]), run([0, 30], [5, 5])]}, None),
+        "three": Panel({"b": [run([0, 10], [0, 9])]}, None),
+    }
+    figure = curves.learning_curves(panels, {"a": 3, "b": 5, "c": 7}, "return", 10.0)
+    shown = [axes for axes in figure.axes if axes.get_visible()]
+    assert len({(axes.get_xlim(), axes.get_ylim()) for axes in shown}) == 1
+    first, second, third = shown
+    assert first.lines[0].get_color() == third.lines[0].get_color() == style.series(5).colour
+    assert second.lines[0].get_color() == style.series(3).colour
+    assert [len(axes.collections) for axes in shown] == [0, 1, 0], "a band for two seeds"
+    assert [len(axes.lines) for axes in shown] == [3, 2, 2], "curve, threshold, optimum"
+    assert second.lines[0].get_ydata().tolist() == [2.5, 5.0]
+    assert labels_of(figure) == ["a", "b", "threshold 10", "proved optimum"]

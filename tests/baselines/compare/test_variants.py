@@ -11,9 +11,8 @@ from baselines.compare.variants import CompareConfig, parse_variant, read_varian
 from baselines.training.aids import TrainingAids
 from baselines.training.config import Hyperparameters, TrainConfig, parse, words_of
 from baselines.training.train import prepare
-from mbn_marl import Field, Uniform
+from mbn_marl import Uniform
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import save_field
 
 AIDS = TrainingAids.model_fields.keys() - Hyperparameters.model_fields.keys()
 
@@ -83,8 +82,3 @@ def test_the_default_compares_like_with_like() -> None:
     crowd = CompareConfig(fields=("field_03", "field_10"))
     assert config.steps == 1_800_000 == crowd.steps
     assert 0.1 < config.core_hours < 2 * crowd.core_hours
-
-
-def test_a_budget_is_as_small_as_the_field(tmp_path: Path) -> None:
-    save_field(Field([(0, 0), (90, 0), (90, 90)], [(80, 20)], [(40, 10)]), tmp_path / "one.yaml")
-    assert CompareConfig(fields=(str(tmp_path / "one.yaml"),)).steps == 655_360

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from baselines.cli import main
-from baselines.evaluation.window import push, watch
-from baselines.policies.load import find_policy, of_zoo
+from baselines.evaluation.window import watch
+from baselines.policies.load import of_zoo
 from baselines.policies.loaded import LoadedPolicy
 from baselines.policies.policy import RandomPolicy
 from mbn_marl import load_field
@@ -27,14 +27,12 @@ FAST: dict[str, Any] = {"speed": 5000.0, "episodes": 1, "rest": 0.0}
 
 @pytest.fixture(autouse=True)
 def no_screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """SDL's driver that shows nothing; the display is closed afterwards."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     yield
     pygame.display.quit()
 
 
 def at_frames(monkeypatch: pytest.MonkeyPatch, events: dict[int, tuple[int, int]]) -> None:
-    """Post key events (kind, key) before the frames of these numbers are drawn."""
     draw: Callable[..., Any] = Viewer.draw
     frames = iter(range(100_000))
 
@@ -48,8 +46,6 @@ def at_frames(monkeypatch: pytest.MonkeyPatch, events: dict[int, tuple[int, int]
 
 
 def still(max_steps: int = 6) -> LoadedPolicy:
-    """Robots that a policy does not move."""
-
     class Still(RandomPolicy):
         def act(self, seen: Any, *, deterministic: bool) -> Any:
             return np.zeros((*seen.shape[:2], 2), np.float32)
@@ -57,21 +53,7 @@ def still(max_steps: int = 6) -> LoadedPolicy:
     return LoadedPolicy("still", Still(), {"max_steps": max_steps}, load_field("field_03"))
 
 
-def test_watching_shows_whole_episodes() -> None:
-    (episode,) = watch(find_policy("zoo:field_03"), **FAST)
-    assert (episode.outcome, episode.steps) == ("success", 17)
-    assert not pygame.display.get_init(), "the window is closed"
-
-
-def test_keys_push_and_opposite_ones_cancel() -> None:
-    assert push(set()) == (0.0, 0.0)
-    assert push({"right", "w"}) == (1.0, 1.0)
-    assert push({"left", "right", "down"}) == (0.0, -1.0)
-    assert push({"a", "left", "x"}) == (-1.0, 0.0)
-
-
 def test_a_person_drives_one_robot(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Right is held from the second frame to the fourth: the steps after those frames."""
     right = pygame.K_RIGHT
     at_frames(monkeypatch, {1: (pygame.KEYDOWN, right), 3: (pygame.KEYUP, right)})
     (episode,) = watch(still(), **FAST, driven=1)

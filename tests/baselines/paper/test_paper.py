@@ -13,7 +13,7 @@ from pandas.testing import assert_frame_equal
 
 from baselines.cli import main
 from baselines.paper import tables
-from baselines.paper.report import against, learning_curves
+from baselines.paper.report import learning_curves
 from baselines.paper.trainings import find_trainings, first_reach, read_progress
 from baselines.runs.files import RunError, write_json
 from baselines.runs.folder import RunFolder
@@ -38,28 +38,25 @@ def make_run(
     finished: bool = True,
     every: int = 1000,
 ) -> Path:
-    """A run folder with these rows, one every ``every`` env-steps."""
     path = folder / f"{algorithm}-{setting}-{Path(field).stem}-seed{seed}"
     config = {"algorithm": algorithm, "setting": setting, "field": field, "seed": seed}
     run = RunFolder.create(path, config, load_field(field), f"mbn train {algorithm} {field}")
-    for index, (episodes, mean, sd, low, high) in enumerate(rows, start=1):
-        spread = {"return_std": sd, "return_min": low, "return_max": high, "success_rate": 0.0}
-        known = {"env_steps": index * every, "seconds": 1.0, "episodes": episodes}
-        run.append_progress({**known, "return_mean": mean, **spread})
+    names = ("episodes", "return_mean", "return_std", "return_min", "return_max")
+    for index, row in enumerate(rows, start=1):
+        known = {"env_steps": index * every, "seconds": 1.0, **dict(zip(names, row, strict=True))}
+        run.append_progress({**known, "success_rate": 0.0})
     if finished:
         stochastic = {"success_rate": 0.25, "return_mean": -1234.0}
         write_json(path / "evaluation.json", {"stochastic": stochastic})
     return path
 
 
-def report(folder: Path, *options: str) -> str:
-    """The page of a report on the runs in ``folder``, which is in its subfolder ``out``."""
-    assert main(["report", "--paper", str(folder), "-o", str(folder / "out"), *options]) == 0
+def report(folder: Path) -> str:
+    assert main(["report", "--paper", str(folder), "-o", str(folder / "out")]) == 0
     return (folder / "out" / "paper.md").read_text()
 
 
 def cells(path: Path, *key: str) -> list[list[str]]:
-    """What follows ``key`` in the lines of a CSV file that begin with it."""
     lines = csv.reader(io.StringIO(path.read_text()))
     return [line[len(key) :] for line in lines if line[: len(key)] == list(key)]
 
@@ -86,8 +83,6 @@ def test_a_cell_is_the_mean_sd_max_and_range_of_all_its_episodes(tmp_path: Path)
     (shown,) = cells(fields, "field_01", "A", "here", "single episodes", "reward")
     by_hand = [5e6 / 3, np.std([0.0, 1e6, 4e6]), 4e6, 4e6]
     assert [float(word) for word in shown] == pytest.approx(by_hand)
-    latex = (tmp_path / "out" / "algorithms.tex").read_text()
-    assert "PPO & mean & $-$0.2128 & $-$1.0000 &" in latex
 
 
 def test_the_moving_mean_is_over_the_latest_hundred_episodes(tmp_path: Path) -> None:
@@ -112,25 +107,6 @@ def test_missing_cells_say_so_and_setting_n_is_marked_as_ours(tmp_path: Path) ->
     assert "curves_N.png" in page and not (tmp_path / "out" / "curves_A.png").exists()
     table = tmp_path / "out" / "algorithms.csv"
     assert cells(table, "TQC", "A", "here", "single episodes") == [["1e6 reward", "", "", "", ""]]
-    crossq = ["", "1e6 reward", "0.119", "0.1113", "0.1595", "1.678"]
-    assert cells(table, "CrossQ", "C", "paper") == [crossq]
-    field_03 = ["", "reward", "32867.09", "264073", "159490", "22615808"]
-    assert cells(tmp_path / "out" / "fields.csv", "field_03", "C", "paper") == [field_03]
-
-
-def test_runs_that_are_not_the_papers_have_rows_of_their_own(tmp_path: Path) -> None:
-    file = tmp_path / "orchard.yaml"
-    save_field(load_field("field_03"), file)
-    make_run(tmp_path, [(1, 1e6, 0, 1e6, 1e6)], field=str(file))
-    make_run(tmp_path, [(1, 3e6, 0, 3e6, 3e6)])
-    make_run(tmp_path, [(1, 2e6, 0, 2e6, 2e6)], algorithm="ippo", setting="N")
-    page = report(tmp_path)
-    assert "| PPO | mean | -0.2128 | 3.0000 |" in page, "over the paper's fields alone"
-    assert "| orchard | mean | – | 1,000,000.0 | – |" in page  # noqa: RUF001
-    ippo = "| IPPO | mean | – | missing | – | missing | – | missing | 2.0000 |"  # noqa: RUF001
-    assert ippo in page
-    shown = cells(tmp_path / "out" / "fields.csv", "field_01", "N", "here", "single episodes")
-    assert shown == [["reward", "", "", "", ""]], "over the paper's algorithms alone"
 
 
 def test_what_was_run_and_who_got_there(tmp_path: Path) -> None:
@@ -157,25 +133,6 @@ def test_rankings_are_compared_by_kendalls_tau(tmp_path: Path) -> None:
     assert lines[2][3:] == ("ARS", "missing", "field_03") and lines[4][3:] == ("missing",) * 3
     make_run(tmp_path, [(1, 0, 0, 0, 0)], algorithm="a2c", setting="B")  # on another field
     assert tables.ranking(find_trainings([tmp_path])).lines[2][3:] == ("missing",) * 3
-
-
-def test_settings_are_set_against_each_other_in_the_cells_that_both_have(tmp_path: Path) -> None:
-    for setting, mean in {"A": -3e5, "B": 1e5}.items():
-        make_run(tmp_path, [(1, mean, 0, mean, mean)], setting=setting)
-    make_run(tmp_path, [(1, 0, 0, 0, 0)], field="field_03")
-    runs = find_trainings([tmp_path])
-    figure = against(runs, "A", "B")
-    assert figure is not None
-    curve = learning_curves(runs, "A")
-    assert curve is not None and learning_curves(runs, "C") is None
-    assert [axes.get_title(loc="left") for axes in curve.axes] == ["field_01", "field_03"]
-    assert [axes.get_title(loc="left") for axes in figure.axes] == ["PPO"]
-    labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
-    assert labels == ["field_01", "these together", "paper, all ten"]
-    joined = [line.get_xdata() for line in figure.axes[0].lines if len(line.get_xdata()) == 2]
-    assert list(joined[0]) == [-3e5, 1e5]
-    assert list(joined[2]) == pytest.approx([-0.2128e6, -0.1807e6])
-    assert against(runs, "A", "C") is None
 
 
 def test_a_page_can_stand_beside_its_folder_with_notes_on_top(tmp_path: Path) -> None:
@@ -271,7 +228,6 @@ def test_of_two_runs_of_a_cell_the_finished_one_is_taken(tmp_path: Path) -> None
     [
         ("", "RUN: "),
         ("runs", "kind: "),
-        ("--paper nowhere", "nowhere"),
         ("--paper runs --study empty", "empty"),
         ("--paper runs --notes latin.md", "latin.md"),
         ("--paper runs copy", "copy"),
@@ -295,7 +251,6 @@ def test_wrong_input_is_refused_by_place(
         ("return_std", "deviation", "return_std"),
         ("1000,", "many,", "line 2"),
         ("2000,1,1,0,0,0,0", "2000,1,1,0,0", "line 3"),
-        ("2000,", "1000,", "env_steps"),
         ("2000,1,1,0", "2000,1,1,nan", "line 3"),
     ],
 )
@@ -315,5 +270,4 @@ def test_a_run_without_an_ended_episode_is_missing(rows: list[Row], tmp_path: Pa
     assert tables.coverage(runs).lines[4][2] == f"1 x {len(rows)}k, 1 unfinished"
     assert {table.text().lines[4][3] for table in tables.paper_tables(runs)[:2]} == {"missing"}
     assert learning_curves(runs, "A") is None
-    assert against(runs, "A", "A") is None
     assert np.isnan(runs.runs.reach).all()

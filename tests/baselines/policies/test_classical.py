@@ -29,25 +29,6 @@ def test_classical_policies(name: str, makespan: int) -> None:
     assert 17.0 <= summary["makespan"] <= makespan + (name == "greedy")
 
 
-def test_the_planner_gets_there_in_wind_that_it_did_not_plan_for() -> None:
-    field = load_field("field_01")
-    policy = make_classical("planner", field, {})
-    summary = evaluate(policy, field, {"wind": (0.3, 30.0)}, episodes=2).summary()
-    assert summary["success_rate"] == 1.0
-    assert summary["makespan"] < 70
-
-
-def test_one_policy_serves_many_worlds_and_episodes() -> None:
-    engine = BatchEngine("field_03", 3, threads=1)
-    engine.reset()
-    policy = make_classical("planner", FIELD, {})
-    ends = 0
-    for _ in range(2 * 17):
-        _, _, terminated, _ = engine.step(policy.act(engine.state(), deterministic=True))
-        ends += int(terminated.sum())
-    assert ends == 6
-
-
 WINDS = tuple({"wind": wind} for wind in ((0.35, 0), (0.35, 90), (0.2, 215)))
 FAULTS = tuple({"failures": Failures(at={i: t})} for i, t in ((0, 5), (1, 8), (2, 7), (2, 12)))
 
@@ -69,20 +50,6 @@ def test_a_policy_finds_out_what_each_of_its_worlds_is_like(
             if engine.running[0]:
                 engine.step(action[None])
     assert [engine.snapshot().success for engine in engines] == [True] * len(worlds)
-
-
-@pytest.mark.all
-@pytest.mark.parametrize(("name", "most"), [("greedy", 36), ("replan", 26)])
-def test_policies_hold_out_in_gusts_world_by_world(name: str, most: int) -> None:
-    gusty = {"gust": 0.15}
-    both, first = (
-        evaluate(make_classical(name, FIELD, gusty), FIELD, gusty, episodes=count)
-        for count in (4, 1)
-    )
-    assert both.successes == [True] * 4
-    assert max(both.steps) <= most
-    assert len(set(both.returns)) > 1
-    assert first.returns == both.returns[:1]
 
 
 def test_replan_does_what_plan_does_while_nothing_disturbs_it() -> None:

@@ -30,8 +30,6 @@ SHOWN: dict[str, Any] = {
 
 
 class Trained(Policy):
-    """Robots without force, trained in ``HOME``; the policy keeps what it was shown first."""
-
     def __init__(self, observes: Observes = "observations", **settings: Any) -> None:
         self.observes, self.origin = observes, Origin(HOME, make_config(settings))
         self.seen: np.ndarray | None = None
@@ -43,7 +41,6 @@ class Trained(Policy):
 
 
 def refused(policy: Policy, field: Field, settings: dict[str, Any]) -> list[str]:
-    """Return what the errors of both ways to run a policy name."""
     named = []
     for run in (evaluate, record_episode):
         with pytest.raises(ConfigError) as caught:
@@ -99,23 +96,6 @@ def test_entries_that_a_policy_was_not_trained_with_are_not_shown_to_it(observes
     assert trained.seen is not None and trained.seen.shape[-1] == plain
     assert np.array_equal(trained.seen[0], expected)
     assert len(evaluate(Trained(observes), HOME, SHOWN, episodes=2).steps) == 2
-
-
-@pytest.mark.parametrize("observes", ["observations", "state"])
-def test_flags_of_failed_robots_are_zero_where_none_can_fail(observes: Observes) -> None:
-    turning: dict[str, Any] = {"dynamics": SHOWN["dynamics"]}
-    failing = turning | {"failures": SHOWN["failures"]}
-    engine, wanted = BatchEngine(HOME, 1, **turning), BatchEngine(HOME, 1, **failing)
-    for one in (engine, wanted):
-        one.reset()
-        one.step(np.ones((1, 2, 2)))  # robot 1 fails two steps later
-    shown, expected = (
-        one.state() if observes == "state" else one.step(np.ones((1, 2, 2)))[0]
-        for one in (engine, wanted)
-    )
-    trained = Trained(observes, **failing)
-    trained.fit(engine).act(shown, deterministic=True)
-    assert trained.seen is not None and np.array_equal(trained.seen, expected)
 
 
 def test_a_condition_replaces_weather_and_failures_but_not_the_robots() -> None:

@@ -144,7 +144,6 @@ def test_wrong_observations_and_sources_are_refused_by_place(tmp_path: Path) -> 
 
 @pytest.fixture
 def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Write:
-    """Write a module of a user into the working directory; return its name, new each time."""
     monkeypatch.chdir(tmp_path)
 
     def write(text: str) -> str:

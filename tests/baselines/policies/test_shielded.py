@@ -38,8 +38,6 @@ FAILURES: dict[str, Any] = {"failures": Failures(at={1: 30})}
 
 
 class Pusher(Policy):
-    """Full force in a direction that turns every 40 steps, and toward each other in between."""
-
     observes = "state"
 
     def __init__(self, field: Field) -> None:
@@ -97,12 +95,9 @@ def test_a_policy_that_brakes_itself_acts_as_without() -> None:
 
 
 class Trained(Policy):
-    """Trained in ``YARD`` without failures; keeps what it sees."""
-
     origin = Origin(YARD, make_config({}))
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
-        """Return an action that the shield leaves at the starts of ``YARD``."""
         self.seen = seen
         return np.full((len(seen), 3, 2), 0.1, np.float32)
 

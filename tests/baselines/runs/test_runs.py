@@ -6,20 +6,30 @@ import errno
 import fcntl
 import json
 import os
+import pickle
 import shutil
+import struct
 import subprocess
 import sys
+import zipfile
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import torch
 
-from baselines.runs.files import RunError, alone, claim_folder, read_json, write_json
+from baselines.cli import main
+from baselines.policies.load import load_trained
+from baselines.runs.files import RunError, alone, claim_folder, read_arrays, read_json, write_arrays
 from baselines.runs.folder import RunFolder
-from baselines.training.run_logger import Report
+from baselines.runs.tensors import read_tensors, write_tensors
 from baselines.training.train import train
+from mbn_marl.errors import MbnError
 from mbn_marl.field import load_field
-from tests.support.runs import small_config
+from tests.support.runs import TinyRuns, small_config
 
 
 def test_a_folder_is_claimed_without_loss(tmp_path: Path) -> None:
@@ -49,19 +59,6 @@ def test_a_folder_is_claimed_without_loss(tmp_path: Path) -> None:
         claim_folder(folder, force=True)
     claim_folder(folder, force=True)
     assert (tmp_path / "run.3" / "inner").is_dir()
-
-
-def test_json_is_written_whole_and_errors_name_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "value.json"
-    write_json(path, {"a": 1})
-    with pytest.raises(ValueError):
-        write_json(path, {"a": float("nan")})
-    assert read_json(path) == {"a": 1}
-    assert [file.name for file in tmp_path.iterdir()] == ["value.json"]
-    (tmp_path / "bad.json").write_text("{")
-    for name in ("missing.json", "bad.json"):
-        with pytest.raises(RunError, match=name):
-            read_json(tmp_path / name)
 
 
 def test_a_second_process_is_refused(tmp_path: Path) -> None:
@@ -100,45 +97,6 @@ def test_a_drive_without_locks_is_used(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_name_that_is_not_text_is_refused_before_the_work(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="UTF-8"):
-        claim_folder(tmp_path / os.fsdecode(b"a\xff"))
-    with pytest.raises(RunError, match="UTF-8"):
-        train(small_config("ppo"), tmp_path / "run", command=os.fsdecode(b"mbn \xff"))
-    assert not list(tmp_path.iterdir())
-
-
-def test_only_numbers_are_checkpoints(tmp_path: Path) -> None:
-    for name in ("000000000100", "12abc", "000000000200.bak", "²"):
-        (tmp_path / "checkpoints" / name).mkdir(parents=True)
-    (tmp_path / "checkpoints" / "300").touch()
-    run = RunFolder(tmp_path)
-    assert run.saved_steps == 100
-    (tmp_path / "config.json").touch()
-    with run.new_checkpoint(400):
-        pass
-    left = {path.name for path in (tmp_path / "checkpoints").iterdir()}
-    assert left == {"000000000400", "12abc", "000000000200.bak", "²", "300"}
-
-
-def test_a_run_killed_before_its_first_file_begins(tmp_path: Path) -> None:
-    for name in (".lock", ".config.json.abc"):
-        (tmp_path / name).touch()
-    assert train(small_config("ppo"), tmp_path, resume=True).finished
-
-
-def test_a_run_whose_folder_is_deleted_ends(tmp_path: Path) -> None:
-    out = tmp_path / "run"
-
-    def delete(report: Report) -> None:
-        assert not report.finished
-        shutil.rmtree(out)
-
-    with pytest.raises(RunError, match=str(out)):
-        train(small_config("mappo"), out, listener=delete)
-    assert not (out / "evaluation.json").exists()
-
-
 def test_a_run_records_field_command_versions_and_progress(tmp_path: Path) -> None:
     field = load_field("field_07")
     run = RunFolder.create(tmp_path / "run", {"algorithm": "ppo"}, field, "mbn train it")
@@ -150,3 +108,154 @@ def test_a_run_records_field_command_versions_and_progress(tmp_path: Path) -> No
     assert run.progress.read_text().split() == ["env_steps,loss", "8,0.25", "16,nan"]
     with pytest.raises(RunError, match=str(tmp_path)):
         RunFolder.open(tmp_path)
+
+
+MAPPO = ("obs_size", "n_robots", "hidden", "sharing", "actor")
+SHARED = ("algorithm", "observes", "policy", "obs_size", "action_shape", "arguments")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mappo", "ppo"])
+def test_a_file_that_is_cut_off_is_named(name: str, tmp_path: Path, tiny_runs: TinyRuns) -> None:
+    run = RunFolder(shutil.copytree(tiny_runs.finished(name).path, tmp_path / "finished"))
+    stopped: Any = tiny_runs.stopped(name, tmp_path / "stopped")
+    read = "**/*" if name == "ppo" else "*"  # mappo's policy is in the learner's file
+    files = [(path, lambda: load_trained(run)) for path in run.policy.iterdir()]
+    files += [
+        (path, lambda: train(small_config(name), stopped.path, resume=True))
+        for path in filter(Path.is_file, stopped.checkpoint.glob(read))
+    ]
+    for path, load in files:
+        if path.parent == run.policy and path.name == "learner.safetensors":
+            continue  # only runs that begin with this one read it
+        whole = path.read_bytes()
+        path.write_bytes(whole[: len(whole) // 2])
+        with pytest.raises(RunError, match=path.name):
+            load()
+        path.write_bytes(whole)
+    stopped.progress.write_text("env_steps\n")  # it ends before the checkpoint
+    with pytest.raises(RunError, match=r"progress\.csv"):
+        train(small_config(name), stopped.path, resume=True)
+
+
+class Evil:
+    def __init__(self, path: Path) -> None:
+        self.path = str(path)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (self.path,)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mappo", "ppo"])
+def test_no_pickle_is_loaded(name: str, tmp_path: Path, tiny_runs: TinyRuns) -> None:
+    trap = tmp_path / "pwned"
+    run = tiny_runs.stopped(name, tmp_path / name)
+    files = [path.relative_to(run.path) for path in run.path.rglob("*.*") if path.is_file()]
+    assert {".safetensors", ".npz", ".json", ".yaml", ".csv"} <= {file.suffix for file in files}
+    for file in files:
+        shutil.rmtree(run.path)
+        tiny_runs.stopped(name, run.path)
+        (run.path / file).write_bytes(pickle.dumps(Evil(trap)))
+        main(["evaluate", str(run.path), "--episodes", "1"])
+        with suppress(MbnError):
+            train(small_config(name), run.path, resume=True)
+    assert not trap.exists()
+
+
+def test_an_archive_that_is_no_file_of_a_run_is_named(tmp_path: Path) -> None:
+    place = tmp_path / "arrays.npz"
+    write_arrays(place, {"a": np.arange(3)})
+    assert read_arrays(place)["a"].tolist() == [0, 1, 2]
+    data = bytearray(place.read_bytes())
+    data[len(data) // 2] ^= 1
+    head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000000,), }\n"
+
+    def with_a_huge_shape() -> None:
+        with zipfile.ZipFile(place, "w") as archive:
+            version = b"\x93NUMPY\x01\x00"
+            archive.writestr("a.npy", version + struct.pack("<H", len(head)) + head)
+
+    makers: list[Callable[[], object]] = [
+        lambda: np.savez(place, allow_pickle=True, a=np.array([Evil(tmp_path / "pwned")], object)),
+        lambda: place.write_bytes(pickle.dumps(Evil(tmp_path / "pwned"))),
+        lambda: place.write_bytes(data),
+        with_a_huge_shape,
+        place.unlink,
+    ]
+    for make in makers:
+        make()
+        with pytest.raises(RunError, match=r"arrays\.npz"):
+            read_arrays(place)
+    assert not (tmp_path / "pwned").exists()
+
+
+def test_a_link_in_a_run_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "config.json").touch()
+    for place in ("progress.csv", "policy/policy.json", "tensorboard/events"):
+        (tmp_path / place).parent.mkdir(exist_ok=True)
+        (tmp_path / place).symlink_to(tmp_path / "mine")
+        with pytest.raises(RunError, match=place):
+            RunFolder.open(tmp_path)
+        (tmp_path / place).unlink()
+    RunFolder.open(tmp_path)
+
+
+def past_the_key(counters: Any) -> Any:
+    counters["generators"]["numpy"]["state"]["pos"] = 10**8
+    return counters
+
+
+def with_entry(entry: str, value: Any) -> Callable[[Any], Any]:
+    return lambda content: content | {entry: value}
+
+
+WEIGHTS = (
+    lambda weight: weight * torch.nan,
+    lambda weight: torch.full_like(weight, torch.inf),
+    lambda weight: weight.double(),
+    lambda weight: weight.long(),
+    lambda weight: weight[None],
+)
+EDITS: list[tuple[str, str, Callable[[Any], Any]]] = [
+    *(("mappo", "policy.json", with_entry(k, v)) for k in MAPPO for v in (None, "x", -3, 10**12)),
+    ("mappo", "policy.json", with_entry("tokens", {"own": 3})),
+    *(("ppo-shared", "policy.json", with_entry(k, v)) for k in SHARED for v in (None, "x")),
+    ("ppo-shared", "policy.json", with_entry("normalization", {"mean": [float("nan")]})),
+    *(
+        (name, "policy.safetensors", lambda a, change=change: {k: change(a[k]) for k in a})
+        for name in ("mappo", "ppo-shared")
+        for change in WEIGHTS
+    ),
+    ("mappo", "worlds.npz", lambda a: a | {"now.steps": a["now.steps"] + np.int32(10**8)}),
+    ("ppo", "worlds.npz", lambda a: a | {"now.x": a["now.x"] * np.float32(np.nan)}),
+    ("ppo", "worlds.npz", lambda a: a | {"_last_obs": a["_last_obs"][:, 1:]}),
+    ("tqc", "replay.npz", with_entry("pos", np.array(10**9))),
+    ("tqc", "counters.json", with_entry("num_timesteps", "x")),
+    ("mappo", "counters.json", with_entry("curriculum", {"first": "x"})),
+    ("mappo", "counters.json", with_entry("env_steps", -1)),
+    ("mappo", "recorder.json", with_entry("progress_bytes", -5)),
+    ("ppo", "recorder.json", lambda a: [a]),
+    ("mappo", "counters.json", past_the_key),
+    ("ppo", "counters.json", past_the_key),
+]
+READERS: dict[str, Any] = {".json": read_json, ".npz": read_arrays, ".safetensors": read_tensors}
+
+
+@pytest.mark.parametrize(("name", "file", "change"), EDITS)
+def test_an_edited_file_is_refused(
+    name: str, file: str, change: Callable[[Any], Any], tmp_path: Path, tiny_runs: TinyRuns
+) -> None:
+    of_policy = file.startswith("policy.")
+    if of_policy:
+        run = RunFolder(shutil.copytree(tiny_runs.finished(name).path, tmp_path / "run"))
+    else:
+        run = tiny_runs.stopped(name, tmp_path / "run")
+    place = run.policy / file if of_policy else run.policy.parent / file
+    content = change(READERS[place.suffix](place))
+    if place.suffix == ".json":
+        place.write_text(json.dumps(content))
+    else:
+        (write_arrays if place.suffix == ".npz" else write_tensors)(place, content)
+    with pytest.raises(RunError, match=str(run.path)):
+        load_trained(run) if of_policy else train(small_config(name), run.path, resume=True)

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from baselines.evaluation.evaluate import evaluate
 from baselines.policies.load import load_trained
 from baselines.sb3.config import load
-from baselines.sb3.policy import SB3Policy, load_policy
 from baselines.sb3.trainer import Learner, TrainingWorlds, make_env
 from baselines.training import aids, run_logger
 from baselines.training.aids import RoiCurriculum
@@ -23,7 +19,7 @@ from baselines.training.run_logger import EpisodeWindow
 from baselines.training.train import notes, prepare, train
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPolicyVecEnv
 from mbn_marl.errors import ConfigError
-from tests.support.runs import TinyRuns, recorded, same_policies, small_config
+from tests.support.runs import recorded
 
 pytestmark = pytest.mark.slow
 
@@ -35,13 +31,11 @@ AIDS: dict[str, Any] = {"action_repeat": [2, 1], "episode_steps": 24, "roi_radiu
 
 @pytest.fixture
 def two_stages(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let any success rate be enough for the next of two stages."""
     monkeypatch.setattr(aids, "STAGES", 2)
     monkeypatch.setattr(aids, "SUCCESS", (0.0, 0.0))
 
 
 def config_of(name: str, **changes: Any) -> TrainConfig:
-    """Rollouts of 8 decisions in 4 worlds, without collisions."""
     model = {"n_steps": 8, "policy_kwargs": {"net_arch": [8]}}
     if name != "a2c":
         model["batch_size"] = 32
@@ -145,29 +139,6 @@ def test_other_learners_refuse_aids() -> None:
         load("ppo-shared", "N", {"joint_observation": True})
 
 
-@pytest.mark.parametrize(
-    ("name", "joint", "settings", "seen"),
-    [
-        ("ppo", False, {}, "state"),
-        ("ppo", True, {"n_robots": 1}, "observations"),
-        # With headings and flags.
-        ("ppo", False, {"dynamics": "unicycle", "failures": {"rate": 0.1}}, "state"),
-        ("ppo-shared", False, {}, "observations"),
-    ],
-)
-def test_policy_knows_what_it_observes(
-    name: str, joint: bool, settings: dict[str, Any], seen: str
-) -> None:
-    changes: dict[str, Any] = {"joint_observation": True} if joint else {}
-    how: dict[str, Any] = {"hyperparameters": changes, "environment": settings, "steps": 1}
-    config = TrainConfig(name, "field_03", num_envs=2, **how)
-    policy = Learner(*prepare(config), EpisodeWindow()).policy
-    assert policy.observes == seen
-    size, robots = policy.shape["obs_size"], settings.get("n_robots", 3)
-    rows = (2, robots, size // robots if joint else size) if seen == "observations" else (2, size)
-    assert policy.act(np.zeros(rows, np.float32), deterministic=True).shape == (2, robots, 2)
-
-
 @pytest.mark.parametrize("name", ["a2c", "ars"])
 def test_evaluation_is_of_the_policy_after_the_update(name: str, tmp_path: Path) -> None:
     how: dict[str, Any] = {"evaluate_every": 100, "episodes": 1}
@@ -181,40 +152,7 @@ def test_evaluation_is_of_the_policy_after_the_update(name: str, tmp_path: Path)
     assert during["deterministic_return_mean"] == last["deterministic_return_mean"]
 
 
-@pytest.mark.usefixtures("two_stages")
-def test_every_stage_of_the_curriculum_draws_other_starts() -> None:
-    task, hyperparameters = prepare(config_of("ppo"))
-    settings = {**task.settings, "random_starts": True}
-    worlds: Any = make_env(replace(task, settings=settings), hyperparameters, EpisodeWindow())[0]
-    starts = [worlds.reset()[:, :6]]
-    for _ in range(2):
-        worlds.curriculum.add([1.0] * worlds.curriculum.window)
-        assert worlds.curriculum.move()
-        starts.append(worlds.begin(worlds.curriculum)[:, :6])
-    assert all(not np.array_equal(starts[a], starts[b]) for a, b in ((0, 1), (0, 2), (1, 2)))
-
-
 ROBOTS = 3
-
-
-def test_another_seed_makes_another_policy(tmp_path: Path, tiny_runs: TinyRuns) -> None:
-    other = train(replace(small_config("ppo-shared"), seed=6), tmp_path / "other")
-    assert not same_policies(other, tiny_runs.finished("ppo-shared"))
-
-
-def test_env_steps_are_steps_of_worlds(tmp_path: Path) -> None:
-    model = {"n_steps": 16, "batch_size": 64, "policy_kwargs": {"net_arch": [8]}}
-    how: dict[str, Any] = {"steps": 128, "evaluate_every": 64, "episodes": 2}
-    how |= {"environment": {"max_steps": 20}, "hyperparameters": {"num_envs": 4, "model": model}}
-    run = train(TrainConfig("ppo-shared", "field_03", **how), tmp_path / "run")
-    rows = recorded(run)["rows"]
-    # Two rollouts of 4 worlds x 16 steps, although the library counts 384 steps of robots.
-    assert [int(row["env_steps"]) for row in rows] == [64, 128]
-    assert run.evaluation["env_steps"] == 128
-    assert [entry["env_steps"] for entry in run.evaluations] == [64, 128]
-    # After 16 steps no episode of 20 has ended, after 32 one of each world.
-    assert [int(row["episodes"]) for row in rows] == [0, 4]
-    assert not list(run.path.rglob("*.zip")) and not list(run.path.rglob("*.pkl"))
 
 
 def test_learner_sees_scaled_rewards_and_the_window_true_team_returns() -> None:
@@ -236,23 +174,3 @@ def test_learner_sees_scaled_rewards_and_the_window_true_team_returns() -> None:
             assert sorted(rewards[0][:ROBOTS]) == pytest.approx([-0.0005, 0.4995, 0.4995])
             assert rewards[1] == pytest.approx([-0.005] * 2 * ROBOTS)
     assert rows[0] == (2, 0.0, 19_670.0, 0.0) and rows[1][:2] == (2, 1.0)
-
-
-def test_saved_policy_acts_as_before(tmp_path: Path, tiny_runs: TinyRuns) -> None:
-    policy = load_trained(tiny_runs.finished("ppo-shared"))
-    assert isinstance(policy, SB3Policy) and policy.normalization is not None
-    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (5, ROBOTS, 33)).astype(np.float32)
-    mean = policy.act(seen, deterministic=True)
-    raw = SB3Policy(policy.network, policy.shape, None)
-    assert not np.array_equal(raw.act(seen, deterministic=True), mean)
-    for one, deterministic in itertools.product((policy, raw), (True, False)):
-        one.save(tmp_path)
-        acts = []
-        for each in (one, load_policy(tmp_path)):
-            torch.manual_seed(1)
-            acts.append(each.act(seen, deterministic=deterministic))
-        np.testing.assert_array_equal(*acts)
-    assert {path.name for path in tmp_path.iterdir()} == {"policy.json", "policy.safetensors"}
-    # Each robot's action follows from its own observation, by the same network for all.
-    turned = policy.act(seen[:, ::-1], deterministic=True)[:, ::-1]
-    np.testing.assert_allclose(turned, mean, atol=1e-6)

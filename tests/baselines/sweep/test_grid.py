@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import re
 import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +25,7 @@ from mbn_marl.errors import ConfigError
 from tests.support.dying import die_once
 from tests.support.grids import BUDGET, TINY, run_here, spec_of
 from tests.support.runs import recorded, same_policies
+from tests.support.terminal import MBN
 
 pytestmark = pytest.mark.slow
 
@@ -66,7 +66,7 @@ def test_a_grid_resumes_after_kill_9(tmp_path: Path) -> None:
     path.write_text(yaml.safe_dump({"store": str(store), **TINY, "budget": long}))
     (run,) = runs_of(spec_of(store, budget=long))
     folder = RunFolder(store / run.name)
-    words = [sys.executable, "-m", "mbn_marl", "grid", str(path), "--processes", "1"]
+    words = [*MBN, "grid", str(path), "--processes", "1"]
     process = subprocess.Popen(words)
     while folder.checkpoint is None:
         assert process.poll() is None, "the run was over before it could be killed"

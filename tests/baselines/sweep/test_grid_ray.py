@@ -40,7 +40,6 @@ GRID = {
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    """A head that only schedules, and three nodes with a core each."""
     head = {**NODE, "num_cpus": 0, "include_dashboard": False}
     patch = pytest.MonkeyPatch()
     patch.setenv("RAY_worker_niceness", "0")
@@ -55,7 +54,6 @@ def cluster() -> Iterator[Any]:
 
 
 def spec_in(folder: Path) -> Path:
-    """The file of the grid with its store in ``folder``."""
     path = folder / "grid.yaml"
     path.parent.mkdir(exist_ok=True)
     path.write_text(yaml.safe_dump({"store": str(folder / "runs"), **GRID}))
@@ -63,7 +61,6 @@ def spec_in(folder: Path) -> Path:
 
 
 def busy_node(cluster: Any, store: Path) -> tuple[Any, psutil.Process, str] | None:
-    """A node that trains a run past a checkpoint, the process, held still, and the run's name."""
     if len([*store.glob("*/evaluation.json")]) < 4:
         return None
     for lock in store.glob(f"*/{LOCK}"):

@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import pytest
 import yaml
 
 from baselines.sweep.spec import read_spec, runs_of
-from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 from tests.baselines.conftest import Refusal
 from tests.support.grids import TINY, spec_of
@@ -87,28 +85,3 @@ def test_wrong_values_are_refused_by_place_and_nothing_is_made(
     ):
         assert place in refusal(["grid", *words.split()]), words
     assert sorted(tmp_path.iterdir()) == [path, tmp_path / "two.yaml"]
-
-
-def test_every_problem_is_named_at_once(tmp_path: Path) -> None:
-    values = {
-        **TINY,
-        "algorithms": ["a2c", "ppo"],
-        "store": "s3://bucket",
-        "budget": {"stepss": 7},
-        "resources": {"cpu": 1},
-        "set": {"model.gama": [1], "model.n_step": [5], "environment.winds": [1]},
-    }
-    del values["seeds"]
-    path = tmp_path / "grid.yaml"
-    path.write_text(yaml.safe_dump(values))
-    with pytest.raises(ConfigError) as caught:
-        read_spec(path)
-    problems = caught.value.problems
-    places = {problem.partition(": ")[0] for problem in problems}
-    assert places >= {"store", "seeds", "budget.stepss", "resources.cpu"}
-    for name in ("model.gama: ", "model.n_step: ", "winds: "):
-        assert name in "\n".join(problems)
-    assert len(problems) == len(set(problems))
-    path.write_text(yaml.safe_dump({**values, "fields": ["field_03", "field_1"]}))
-    with pytest.raises(ConfigError, match=r"fields\.1: "):
-        read_spec(path)

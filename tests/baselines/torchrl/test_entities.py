@@ -15,7 +15,7 @@ from tensordict import TensorDict
 from baselines import load_policy
 from baselines.algorithms import Setting, find_algorithm
 from baselines.evaluation.evaluate import evaluate, unseen
-from baselines.torchrl.entities import Rivals, SetActor, SetCritic, Tokens
+from baselines.torchrl.entities import SetActor, SetCritic, Tokens
 from baselines.torchrl.trainer import Trainer
 from baselines.training.config import TrainConfig
 from baselines.training.train import prepare, train
@@ -34,8 +34,6 @@ OF_RAYS = {"x": lambda k: (4 - k) % 8, "y": lambda k: -k % 8, "swap": lambda k: 
 
 
 class Scene:
-    """Made-up observations of teams of 2 to 4 robots, and networks for them."""
-
     def __init__(self, *, assignment: bool) -> None:
         engine = BatchEngine(TEAMS, 1, **{**SEEN, "assignment": assignment})
         self.names = names = [entry.name for entry in engine.observation_table]
@@ -61,7 +59,6 @@ class Scene:
         torch.nn.init.normal_(self.actor.head.weight)
 
     def mirrored(self, how: str) -> torch.Tensor:
-        """Return what the robots would see in a field that is mirrored."""
         rows = self.rows.clone()
         for k, name in enumerate(self.names):
             other = f"{name[:-1]}{'x' if name.endswith('y') else 'y'}"
@@ -78,7 +75,6 @@ class Scene:
 
 @pytest.fixture(scope="module", params=[True, False])
 def scene(request: pytest.FixtureRequest) -> Scene:
-    """Some teams in the middle of their episodes, with and without the assignment."""
     return Scene(assignment=request.param)
 
 
@@ -103,34 +99,6 @@ def test_the_order_of_tokens_does_not_matter(scene: Scene, kinds: tuple[str, str
     torch.testing.assert_close(scene.actor(rows), scene.actor(scene.rows))
 
 
-def test_rivals_are_as_far_from_an_roi_and_near_it_as_fast_as_they_are() -> None:
-    settings = {**SEEN, "assignment": False, "n_robots": 4, "random_starts": True}
-    engine = BatchEngine("field_03", WORLDS, **settings)
-    engine.reset(seed=0)
-    actions = np.random.default_rng(0).uniform(-1, 1, (WORLDS, 4, 2)).astype(np.float32)
-    rows = torch.from_numpy(engine.step(actions)[0].copy()).flatten(0, 1)
-    tokens = Tokens.of(engine.observation_table)
-    rivals, seen = Rivals(tokens), []
-    rivals.seen.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
-    own, robots, rois = tokens.split(rows, 4)
-    rivals(own, robots, rois[:, 1])
-    far, near, farther, nearing = seen[0].sort(1).values.unbind(-1)
-    for k, (w, i) in enumerate(np.ndindex(WORLDS, 4)):
-        team = engine.snapshot(w)
-        ways = np.asarray(team.field.rois[1]) - team.positions
-        lengths = np.linalg.norm(ways, axis=-1)
-        speeds = (ways * team.velocities).sum(-1) / lengths / engine.config.v_clip
-        others = np.delete(lengths, i)
-        more = others - lengths[i]
-        for found, wanted in (
-            (far, others / (others + 100.0)),
-            (near, others / (others + 15.0)),
-            (farther, more / (abs(more) + 15.0)),
-            (nearing, np.delete(speeds, i)),
-        ):
-            np.testing.assert_allclose(found[k].detach(), np.sort(wanted), atol=1e-3)
-
-
 @torch.no_grad()
 def test_absent_robots_do_nothing_and_count_for_nothing(scene: Scene) -> None:
     there = scene.rows.any(-1)
@@ -146,17 +114,6 @@ def test_absent_robots_do_nothing_and_count_for_nothing(scene: Scene) -> None:
     small = torch.cat([own, rest[:, :width], rest[:, 3 * width :]], 1)
     torch.testing.assert_close(scene.actor(small), actions[world, :2])
     torch.testing.assert_close(scene.critic(small), values[world, :2])
-
-
-def test_the_way_left_is_in_units() -> None:
-    own, robot = ("own_tour", "team_tour"), ("present",)
-    rows = torch.tensor([[0.5, 0.75, 1.0, 1.0, 0.2, 0.5], [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
-    tokens = Tokens(own, robot, ("left", "away", "others"))
-    torch.testing.assert_close(tokens.way_left(rows, 2), torch.tensor([400.0, 0.0]))
-    # Without the assignment: each ROI's distance from its nearest robot, here 25 and 100 units.
-    rows = torch.tensor([[1.0, 0.2, 0.5, 1.0, 0.75, 0.5]])
-    tokens = Tokens((), robot, ("left", "away", "others"))
-    torch.testing.assert_close(tokens.way_left(rows, 1), torch.tensor([125.0]))
 
 
 SMALLEST = small_config("mappo", "G")
@@ -244,15 +201,9 @@ def test_what_does_not_go_together_is_refused(
     assert [problem.partition(":")[0] for problem in caught.value.problems] == named
 
 
-def test_runs_with_other_seeds_have_other_random_fields() -> None:
-    tasks: list[Any] = [prepare(replace(CONFIG, seed=seed))[0] for seed in (0, 1)]
-    assert tasks[0].field.field() != tasks[1].field.field()
-
-
 @pytest.mark.parametrize("terminated", [True, False])
 def test_shaping_is_the_discounted_difference_of_the_ways_left(terminated: bool) -> None:
     def seen(ways: list[float]) -> torch.Tensor:
-        """One world of two robots, the second absent, whose first has so far to go."""
         rows = torch.zeros(1, len(ways), 2, 6)
         rows[0, :, 0, 0] = torch.tensor([way / (way + 100.0) for way in ways])
         return rows

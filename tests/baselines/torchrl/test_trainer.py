@@ -16,7 +16,7 @@ from baselines.algorithms import find_algorithm
 from baselines.torchrl import trainer
 from baselines.torchrl.config import load
 from baselines.torchrl.networks import Key
-from baselines.torchrl.trainer import Teacher, find_teacher
+from baselines.torchrl.trainer import Teacher
 from baselines.training import aids
 from baselines.training.config import TrainConfig
 from baselines.training.train import prepare, train
@@ -43,14 +43,6 @@ def test_algorithms_differ_by_what_actor_and_critic_see_alone() -> None:
 def test_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
     config = load("mappo", "N", {"log_std_cap": [0.5, -1.5], "log_std_cap_from": 0.5})
     assert [config.cap_at(progress) for progress in (0.0, 0.5, 0.75, 1.0)] == [0.5, 0.5, -0.5, -1.5]
-
-
-def test_full_id_shows_the_network_which_robot_it_is() -> None:
-    for sharing in ("full", "full+id", "none"):
-        environment = load("mappo", "N", {"sharing": sharing}).environment
-        assert environment["one_hot"] is (sharing == "full+id")
-    with pytest.raises(ConfigError, match="sharing"):
-        load("ippo", "N", {"sharing": "some"})
 
 
 SMALL = {"num_worlds": 4, "rollout_steps": 32, "hidden": [8], "action_repeat": [1, 1]}
@@ -130,14 +122,12 @@ CONFIG = TrainConfig(
 
 
 def make_env(**changed: Any) -> NavigationEnv:
-    """Worlds of teams of 2 to 4 robots, whose episodes soon end."""
     fields = FieldSampler(robots=(2, 4), rois=(3, 5), seed=7)
     settings = {**LEARNER, "max_steps": 11, **changed}
     return NavigationEnv(fields, 6, seed=3, threads=1, metrics=(), **settings)
 
 
 def rollout_of(env: NavigationEnv, steps: int) -> TensorDict:
-    """A rollout (W, steps) by chance from where the worlds are, with what they show."""
     rows = []
     for _ in range(steps):
         seen = env.rand_action(env.now)  # type: ignore[attr-defined]
@@ -171,12 +161,6 @@ def test_a_teacher_acts_where_the_learner_is_and_sees_the_assignment() -> None:
             after, hinted.now = hinted.step_and_maybe_reset(taken)  # type: ignore[attr-defined]
             ended |= bool(after["next", "done"].any())
     assert ended
-
-
-def test_a_teacher_sees_the_assignment_that_its_learner_sees() -> None:
-    for assignment in (True, "fresh"):
-        found = find_teacher(SOURCE, {**LEARNER, "assignment": assignment})
-        assert found[1]["assignment"] == assignment
 
 
 def test_a_learner_comes_to_act_as_its_teacher(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from baselines.training import aids as module
 from baselines.training.aids import RoiCurriculum, TrainingAids, between, with_other_starts
 from baselines.training.config import Task, TrainConfig
-from mbn_marl import Failures, Uniform
+from mbn_marl import Failures
 from mbn_marl.field import load_field
 
 FIELD = load_field("field_02")
@@ -44,13 +44,6 @@ def test_training_without_aids_has_the_environments_own_settings() -> None:
     shorter = TrainingAids(episode_steps=256).in_training(task, large, 4)
     assert shorter == {**own, "max_steps": 256, "roi_radius": 20.0}
     assert TrainingAids(episode_steps=500, scattered=0.5).in_training(task, small, 4) == own
-
-
-def test_numbers_may_be_drawn_in_training() -> None:
-    task = task_of(roi_radius=Uniform(5.0, 8.0), safety_distance=Uniform(5.0, 12.0))
-    settings = TrainingAids(scattered=0.5).in_training(task, RoiCurriculum(2.0, window=4), 4)
-    assert settings["roi_radius"] == Uniform(10.0, 16.0)
-    assert len(settings["field"]) == 4 and settings["field"][3] != FIELD
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import resource
-import shutil
 import subprocess
 import sys
 import time
@@ -30,6 +28,7 @@ from baselines.training.train import prepare, train
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 from tests.support.runs import STAGES, TinyRuns, interrupted, recorded, same_policies, small_config
+from tests.support.terminal import MBN
 
 pytestmark = pytest.mark.slow
 
@@ -81,7 +80,7 @@ def test_killed_process_is_resumed(tmp_path: Path) -> None:
     words += "--set action_repeat=[4,1] roi_radius=20.0 episode_steps=50 model.n_steps=32 "
     arguments = [*f"{words} model.batch_size=64 --out".split()]
     assert main([*arguments, str(whole)]) == 0
-    command = [sys.executable, "-m", "mbn_marl", *arguments, str(killed)]
+    command = [*MBN, *arguments, str(killed)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     deadline = time.monotonic() + 600.0
     while not list(killed.glob("checkpoints/[0-9]*")) and time.monotonic() < deadline:
@@ -148,13 +147,6 @@ def test_interrupted_run_says_where_it_can_be_resumed_and_gives_threads_back(
     assert threads == [3, 1, 3]
 
 
-def test_a_finished_run_is_left_as_it_is(tmp_path: Path, tiny_runs: TinyRuns) -> None:
-    run = RunFolder(shutil.copytree(tiny_runs.finished("ppo").path, tmp_path / "run"))
-    before = {path: path.stat().st_mtime_ns for path in run.path.iterdir()}
-    assert train(SMALL, run.path, resume=True).evaluation == run.evaluation
-    assert {path: path.stat().st_mtime_ns for path in run.path.iterdir()} == before
-
-
 def test_only_the_same_run_can_be_resumed(tmp_path: Path, tiny_runs: TinyRuns) -> None:
     stopped = tiny_runs.stopped("ppo", tmp_path / "run")
     before = stopped.progress.read_bytes()
@@ -167,16 +159,6 @@ def test_only_the_same_run_can_be_resumed(tmp_path: Path, tiny_runs: TinyRuns) -
     with pytest.raises(ConfigError, match="field"):
         train(SMALL, stopped.path, resume=True)
     assert stopped.progress.read_bytes() == before and stopped.checkpoint is not None
-
-
-@pytest.mark.parametrize("options", [{"resume": True}, {"force": True}])
-def test_run_that_is_being_trained_is_left_alone(options: dict[str, Any], tmp_path: Path) -> None:
-    def interfere(report: Report) -> None:
-        train(SMALL, tmp_path / "run", **options)
-
-    with pytest.raises(RunError, match=f"{tmp_path / 'run'}.*process {os.getpid()} on"):
-        train(SMALL, tmp_path / "run", listener=interfere)
-    assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 @pytest.mark.parametrize("name", ["mappo", "ppo"])

@@ -24,7 +24,6 @@ from baselines.training.config import DivergenceError, TrainConfig
 from baselines.tuning import tune as tuning
 from baselines.tuning.tune import TrialJob, begin_study, load_study, run_trial, search_space, tune
 from mbn_marl.errors import ConfigError
-from tests.baselines.conftest import Refusal
 
 pytestmark = pytest.mark.slow
 
@@ -33,14 +32,12 @@ CONFIG = TrainConfig("a2c", "field_03", "A", 33, 20, 20, 1, num_envs=1)
 
 
 def table(folder: Path) -> list[dict[str, str]]:
-    """The trials of a study, as its table has them."""
     with (folder / "trials.csv").open(newline="") as file:
         return list(csv.DictReader(file))
 
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a study of one trial of A2C."""
     out = tmp_path_factory.mktemp("studies") / "study"
     assert main(["tune", "a2c", *TINY, "--trials", "1", "--out", str(out)]) == 0
     return out
@@ -178,28 +175,3 @@ def test_a_trial_that_diverges_counts_as_the_worst(
     study.add_trial(broken)
     better, _ = _split_trials(study, study.get_trials(), n_below=1)
     assert [trial.number for trial in better] == [2]
-
-
-def test_any_other_error_ends_the_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: Any, **__: Any) -> None:
-        raise OSError("the disk is full")
-
-    monkeypatch.setattr(tuning, "train", fail)
-    with pytest.raises(OSError, match="the disk is full"):
-        tune(CONFIG, tmp_path, trials=2, engine=LocalEngine(1), command="mbn tune a2c")
-
-
-def test_wrong_options_are_refused_by_place(tmp_path: Path, refusal: Refusal) -> None:
-    for words, place in (
-        ("sac", "sac: "),
-        ("ippo", "ippo"),
-        ("ppo --field field_00", "field_00"),
-        ("ppo --steps 0", "steps: "),
-        ("ppo --num-envs 0", "num_envs: "),
-        ("ppo --trials 0", "trials: "),
-        ("ppo --processes 0", "processes: "),
-        ("ppo --resume", "is not the folder of a study"),
-        ("ppo --resume --force", "force and resume: "),
-    ):
-        assert place in refusal(["tune", *words.split()]), words
-    assert not list(tmp_path.iterdir())

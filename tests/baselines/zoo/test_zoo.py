@@ -31,7 +31,6 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def run(tiny_runs: TinyRuns, tmp_path: Path) -> RunFolder:
-    """A finished run, whose command has what an entry leaves out."""
     shutil.copytree(tiny_runs.finished("mappo").path, tmp_path / "source")
     command = "mbn train mappo field_03 --seed 4 --out '/home/me/my runs' --force --out=x --resume"
     (tmp_path / "source" / "command.txt").write_text(command)
@@ -40,7 +39,6 @@ def run(tiny_runs: TinyRuns, tmp_path: Path) -> RunFolder:
 
 @pytest.fixture
 def zoo(run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A zoo with the run as its only entry, ``zoo:tiny``."""
     folder = tmp_path / "baselines" / "zoo"
     make_entry(run, folder / "tiny")
     monkeypatch.setattr(load, "ENTRIES", folder)
@@ -48,7 +46,6 @@ def zoo(run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
 
 
 def evaluation_of(name: str, out: Path) -> dict[str, Any]:
-    """Return what ``mbn evaluate`` writes about ``zoo:<name>``, but for the single episodes."""
     if name in ANYWHERE:
         loaded, fields = load_policy(f"zoo:{name}"), RunFolder.open(ENTRIES / name).fields
         where = unseen(fields, EVALUATION_SEED), loaded.settings
