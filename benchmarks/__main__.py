@@ -15,13 +15,11 @@ PROGRAM = "python -m benchmarks"
 
 SUBJECTS = {
     "speed": ("speed", "Speed", "engine and adapters, against a plain loop and peers"),
-    "conditions": ("conditions", "Conditions", "the zoo and classical policies, every condition"),
     "study": ("studies.learning", "Study", "comparisons of learning, benchmarks/studies/*.yaml"),
     "splits": ("splits", "Splits", "the frozen fields of a benchmark: made, proved, verified"),
     "leaderboard": ("leaderboard", "Leaderboard", "the page of the committed results"),
     "gpu": ("gpu", "Gpu", "the engine on CUDA"),
 }
-"""For each subject its module, its class, and what it measures."""
 USAGE = "usage: python -m benchmarks SUBJECT [options]    (SUBJECT --help lists the options)\n\n"
 USAGE += "\n".join(f"  {name:<12}{about}" for name, (*_, about) in SUBJECTS.items())
 
@@ -47,7 +45,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def benchmark_class(subject: str) -> Any:
-    """Return the dataclass of a subject; only its own module is loaded."""
     module, name, _ = SUBJECTS[subject]
     return getattr(import_module(f"benchmarks.{module}"), name)
 

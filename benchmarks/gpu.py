@@ -1,9 +1,4 @@
-"""How fast ``BatchEngine(device="cuda")`` steps, once it equals the CPU bit for bit.
-
-Random actions are stepped with every feature on, launch by launch and as a CUDA graph, timed by
-device events. The rate of the bytes that a step cannot avoid to read or write is compared with that
-of a copy on the same device in the same run.
-"""
+"""How fast ``BatchEngine(device="cuda")`` steps, once it equals the CPU bit for bit."""
 
 from __future__ import annotations
 
@@ -42,7 +37,6 @@ class Gpu(Benchmark):
     """How many steps are compared with the CPU's."""
 
     def measure(self) -> Findings:
-        """Check, then measure every size that fits into the device's memory."""
         check_against_the_cpu(self)
         copy, facts = copy_rate(), kernel_facts(self)
         sizes: list[dict[str, float]] = []
@@ -75,7 +69,7 @@ class Gpu(Benchmark):
 
 
 def seconds(work: Callable[[], object], times: int) -> float:
-    """Return the device's seconds for ``times`` calls, the best of three rounds after a first."""
+    """Return the device's seconds, the best of three rounds after a first."""
     work()
     new_event: Any = torch.cuda.Event  # its constructor has no types
     best = float("inf")
@@ -160,7 +154,6 @@ def measure(options: Gpu, worlds: int, copy: float) -> dict[str, float]:
 
 
 def kernel_facts(options: Gpu) -> dict[str, int]:
-    """Return what the compiler made of the step: registers, local and shared memory."""
     from mbn_marl.engine import cuda_kernels as kernels
 
     engine = BatchEngine(options.field, 2, device="cuda")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,9 @@ from baselines.compare.benchmark import (
     CAPTION,
     WAYS,
     cells,
-    is_summary,
     load_protocol,
     load_tiers,
-    tier_problems,
+    summarise,
 )
 from baselines.compare.benchmark import COLUMNS as COLUMNS_OF_RESULTS
 from baselines.compare.text_table import TextTable
@@ -37,7 +35,6 @@ which has no bounds, the steps so counted. Times were measured on different mach
 busy: rows differ by that too.
 """
 COLUMNS = ("success_rate", "makespan", "decision_ms")
-"""Of the tables, after the one that orders them; the others are in the results' files."""
 NO_BREAK = "\N{NO-BREAK SPACE}"
 NOBODY = "No policy has been entered yet."
 
@@ -47,8 +44,7 @@ class Leaderboard:
     """Make the page of the leaderboard of the results in a folder."""
 
     folder: Path = Path("docs/results/leaderboard")
-    """With results of `mbn benchmark`, each under a name of its own, behind the shield NAME-shield;
-    the page is beside it."""
+    """With results of `mbn benchmark`, behind the shield NAME-shield; the page is beside it."""
 
     def run(self, command: str) -> bool:
         page = self.folder.with_suffix(".md")
@@ -58,10 +54,7 @@ class Leaderboard:
 
 
 def leaderboard(folder: Path) -> str:
-    """Return the page of the results in a folder.
-
-    A ConfigError names those that cannot be read, or are not of the whole split by this protocol.
-    """
+    """Return the page; a ConfigError names results that are damaged, or not of the whole split."""
     protocol = load_protocol()
     if not folder.is_dir():
         raise ConfigError("leaderboard", [f"folder: {folder} is none"])
@@ -83,7 +76,12 @@ def leaderboard(folder: Path) -> str:
         raise ConfigError(str(folder), problems)
     results = {_row_name(name, record): record for name, record in results.items()}
     parts += [CAPTION, ""]
-    whole = {name: record["all"] for name, record in results.items() if record.get("all")}
+    every = {name: record["tiers"].values() for name, record in results.items()}
+    whole = {
+        name: summarise([row for one in tiers for row in one["instances"]])
+        for name, tiers in every.items()
+        if not any(one["misfit"] for one in tiers)
+    }
     parts += [_table(whole).markdown("All tiers"), ""] if whole else []
     for tier in protocol.tiers:
         found = {name: record["tiers"][tier] for name, record in results.items()}
@@ -131,36 +129,30 @@ def _row_name(name: str, record: Mapping[str, Any]) -> str:
 
 
 def _problems(record: Any, frozen: Mapping[str, tuple[Instance, ...]]) -> Iterator[str]:
+    """Yield what is wrong with a result; put statistics of its rows in place of those it has."""
     if not isinstance(record, dict) or not isinstance(record.get("tiers"), dict):
         yield "is no result of mbn benchmark"
         return
     protocol, tiers = load_protocol(), record["tiers"]
-    wanted = {"protocol": protocol.version, "splits": protocol.splits, "split": SPLIT}
-    for name, value in wanted.items():
+    ours = {"protocol": protocol.version, "splits": protocol.splits, "split": SPLIT}
+    for name, value in ours.items():
         if record.get(name) != value:
             yield f"{name}: {record.get(name)!r}; needed: {value!r}"
     if not isinstance(record.get("command"), str):
         yield "command: missing"
-    missing = [tier for tier in frozen if tier not in tiers]
-    yield from (f"tiers: {tier} is missing" for tier in missing)
-    wrong = [
-        f"{tier}: {problem}"
-        for tier, instances in frozen.items()
-        if tier in tiers
-        for problem in tier_problems(tiers[tier], instances)
-    ]
-    yield from wrong
-    if not (missing or wrong) and not _is_whole(record.get("all"), [tiers[one] for one in frozen]):
-        yield "all: is not that of the tiers"
-
-
-def _is_whole(found: Any, tiers: Sequence[Mapping[str, Any]]) -> bool:
-    if any(one["misfit"] for one in tiers):
-        return found is None
-    rows = [row for one in tiers for row in one["instances"]]
-    with suppress(KeyError, TypeError):
-        return bool(found["instances"] == len(rows)) and is_summary(found, rows)
-    return False
+    names = ("condition", "makespan_lower_bound", "best_known")
+    for tier, instances in frozen.items():
+        if tier not in tiers:
+            yield f"tiers: {tier} is missing"
+            continue
+        now = [[one.field.name, *(getattr(one, name) for name in names)] for one in instances]
+        try:
+            rows, wanted = tiers[tier]["instances"], [] if tiers[tier]["misfit"] else now
+            if [[row[name] for name in ("field", *names)] for row in rows] != wanted:
+                yield f"{tier}: fields or bounds are not those of today; run it again"
+            tiers[tier] |= summarise(rows)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            yield f"{tier}: not as mbn benchmark writes it: {type(error).__name__}: {error}"
 
 
 def _table(found: Mapping[str, Mapping[str, Any]]) -> TextTable:
@@ -170,11 +162,10 @@ def _table(found: Mapping[str, Mapping[str, Any]]) -> TextTable:
     columns, lines = (key, *COLUMNS), []
     for name, one in found.items():
         for way in filter(one.get, WAYS):
-            words = cells(one, way, "mean", columns)
-            whole = (text.replace("\n", "<br>").replace(" ", NO_BREAK) for text in words)
+            whole = (text.replace(" ", NO_BREAK) for text in cells(one, way, columns))
             lines.append((one[way][key]["mean"], (name, way, *whole)))
         if one.get("misfit"):
-            line = (name, "does not fit", *cells({}, "mean", "mean", columns))
+            line = (name, "does not fit", *cells({}, "mean", columns))
             lines.append((float("inf"), line))
     headings = (COLUMNS_OF_RESULTS[column][0] for column in columns)
     ordered = [line for _, line in sorted(lines)]

@@ -21,8 +21,6 @@ CPU = Path("/proc/cpuinfo")
 
 @dataclass(frozen=True)
 class Measurement:
-    """One line of the table."""
-
     name: str
     value: float | None  # None if it was not measured (the note says why), infinite for never
     unit: str
@@ -50,7 +48,6 @@ class Measurement:
 
 
 def number(value: float) -> str:
-    """Return three digits, or all before the point."""
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 

@@ -35,7 +35,6 @@ FIELD, ROBOTS = "field_01", 3
 SETS = 64  # steps for which actions are drawn at a time; longer turns use them again
 STEPS_PER_COLLECTION = 16
 SCENARIOS = "simple_spread", "navigation"
-"""The tasks of VMAS that are measured; the second is like ours."""
 VMAS_WORLDS = (1024, 4096, 16_384, 65_536)
 MIXED = FieldSampler(FAMILIES, robots=(2, 7), rois=(3, 10), size=(160, 420), seed=1)
 FIRST_STEP = """
@@ -153,7 +152,6 @@ def measure_pettingzoo(budget: Budget) -> list[Measurement]:
 
 
 def measure_torchrl(budget: Budget) -> list[Measurement]:
-    """Measure TorchRL's collector on ``NavigationEnv``, with all entries and with the fewest."""
     from torchrl.collectors import Collector
 
     frames = budget.worlds * STEPS_PER_COLLECTION
@@ -190,7 +188,6 @@ class Timings(NamedTuple):
 
 
 def interleaved(cases: Sequence[Case], budget: Budget) -> Timings:
-    """Time all cases, round by round."""
     turns = [(case, _calls_per_turn(case, budget.seconds)) for case in cases]
     rounds = [
         [np.divide(_time(case, calls), calls * case.units) for case, calls in turns]
@@ -217,7 +214,6 @@ def _calls_per_turn(case: Case, seconds: float) -> int:
 
 
 def engine_case(name: str, engine: BatchEngine, warm_up: int) -> Case:
-    """Return ``BatchEngine.step`` as a case, in seconds per env-step; resets the engine."""
     engine.reset()
     shape = (engine.num_worlds, engine.n_robots, 2)
     return random_case(name, shape, engine.step, engine.num_worlds, warm_up)
@@ -245,7 +241,6 @@ def random_case(
 
 
 def cycling_case(name: str, sets: Iterable[Any], step: Step, units: float = 1.0) -> Case:
-    """Step with each of the sets of actions in turn, again and again."""
     actions = cycle(sets)
 
     def run(calls: int) -> None:
@@ -272,7 +267,6 @@ def plain_case() -> Case:
 
 
 def vmas_cases(scenario: str) -> list[Case]:
-    """Return a scenario of VMAS, a case per batch size, in seconds per env-step."""
     if not find_spec("vmas"):
         return []
     import vmas

@@ -34,10 +34,7 @@ COUNT = 100
 
 @dataclass(frozen=True)
 class Splits:
-    """Make the frozen fields of the tiers, with proved bounds and plans, or verify them.
-
-    An interrupted run continues.
-    """
+    """Make the frozen fields of the tiers, with proved bounds, or verify them."""
 
     tier: tuple[str, ...] = NAMES
     """Which tiers."""
@@ -53,7 +50,6 @@ class Splits:
     """The folder with a file for each split and tier."""
 
     def run(self, command: str) -> bool:
-        """Make or verify the files; return whether nothing is wrong with them."""
         others = [tier for tier in self.tier if tier not in NAMES]
         wrong = [f"tier: {tier!r}: {unknown('tier', tier, NAMES)}" for tier in others]
         wrong += [f"count: at least 1, not {self.count}"] * (self.count < 1)
@@ -113,7 +109,6 @@ class Splits:
     def _try(
         self, sampler: FieldSampler, number: int, known: Mapping[str, int]
     ) -> str | tuple[dict[str, Any], NDArray[np.float32]]:
-        """Return an instance and its plan, or why there is none."""
         try:
             field = sampler.field(number)
             geometry = geometry_hash(field)
@@ -157,17 +152,12 @@ class Splits:
 
 
 def definition(split: Split, tier: str) -> dict[str, Any]:
-    """Return what a file of a split and a tier is made from, as JSON values."""
     sampler = sampler_of(split, tier)
     return {"version": VERSION, "split": split, "tier": tier, "sampler": sampler}
 
 
 def weather(folder: Path, split: Split, count: int) -> dict[str, Any]:
-    """Return the tier of fields under conditions, made of the files of the first three.
-
-    Raises:
-        ConfigError: they have too few instances.
-    """
+    """Return the tier under conditions; a ConfigError names files with too few instances."""
     sources = NAMES[:3]
     paths = [folder / f"{split}-{tier}.json" for tier in sources]
     known = [read_json(path)["instances"] if path.exists() else [] for path in paths]

@@ -30,8 +30,7 @@ class Compare(Writes):
     out: Output = Path("runs/comparison")
     """The folder to write: tables, figures, GIFs, and a run folder for every run."""
     resume: bool = False
-    """Resume the comparison in the folder: finished runs are kept, interrupted ones are resumed,
-    missing ones are started. The rest of the command must be the same."""
+    """Continue the comparison in the folder, with the same command otherwise."""
     wandb: str | None = None
     """Log every run to this project of Weights & Biases too (pip install wandb)."""
 
@@ -52,13 +51,7 @@ class Compare(Writes):
 
 
 def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Results:
-    """Train with a bar for every run, then write and print the comparison.
-
-    Arguments and errors are those of :func:`~baselines.compare.run.train_all_runs`.
-
-    Raises:
-        RunError: a learner diverged; all else is done and written.
-    """
+    """Train, write and print a comparison; a RunError names at the end all that diverged."""
     from baselines.compare.report import PAGE, write_comparison
     from baselines.compare.run import train_all_runs
     from baselines.compare.tables import print_comparison
@@ -83,11 +76,9 @@ class Report(Writes):
     """Report on runs: the paper's tables and figures with ours beside them, or a comparison."""
 
     runs: Positional[Annotated[tuple[Path, ...], arg(metavar="RUN ...")]]
-    """Run folders, or folders that hold some; studies and what --force moved aside are left out
-    there, with --paper comparisons too. With --paper also folders of earlier reports."""
+    """Run folders, or folders that hold some; with --paper also folders of earlier reports."""
     out: Output
-    """The folder to write, with the page paper.md or comparison.md in it; NAME.md for the page,
-    beside its folder NAME; or NAME.html for a comparison on one self-contained page."""
+    """The folder to write, with paper.md or comparison.md; or NAME.md, beside its folder NAME."""
     paper: bool = False
     """The paper's experiments: its tables as Markdown, CSV and LaTeX, and its figures."""
     comparison: bool = False
@@ -98,15 +89,12 @@ class Report(Writes):
     """A Markdown file to put at the top of the page."""
 
     def run(self, command_line: str) -> None:
-        from baselines.compare.report import is_page, report_comparison
+        from baselines.compare.report import report_comparison
         from baselines.compare.tables import print_comparison
         from baselines.console import console
 
-        page = is_page(self.out)
         wrong = {
-            f"out: --paper writes a folder or .md, not {self.out}": page and self.paper,
-            "kind: --paper or --comparison is needed, or an out that ends in .html": not page
-            and self.paper == self.comparison,
+            "kind: --paper or --comparison is needed": self.paper == self.comparison,
             "study and notes: allowed with --paper": not self.paper and (self.study or self.notes),
             "RUN: at least one folder is needed": not self.runs,
         }
@@ -129,8 +117,7 @@ class Benchmark(Writes):
     """Measure a policy on frozen fields with proved bounds, by the same rules for all."""
 
     source: Positional[Annotated[str, arg(metavar="POLICY")]]
-    """zoo:NAME, a policy of `mbn zoo`; the folder of a run; greedy, planner, replan or random;
-    or module:callable, your own."""
+    """zoo:NAME, the folder of a run, greedy, planner, replan, random, or module:callable."""
     split: Literal["test", "validation"] = "test"
     """The fields: those to choose by are of validation."""
     shield: bool = False
@@ -138,8 +125,7 @@ class Benchmark(Writes):
     tiers: tuple[str, ...] = ()
     """Some of 1-convex, 2-sizes, 3-shapes, 4-crowds, 5-weather; by default all."""
     out: OptionalOutput = None
-    """The folder to write: result.json, page.html, episodes; by default
-    runs/benchmark-POLICY-SPLIT, or runs/benchmark-POLICY-shield-SPLIT."""
+    """The folder to write: result.json, episodes; by default runs/benchmark-POLICY-SPLIT."""
     resume: bool = False
     """Continue a benchmark that was interrupted: tiers that are done are kept."""
 
@@ -147,17 +133,15 @@ class Benchmark(Writes):
         from rich.progress import Progress
 
         from baselines.compare.benchmark import (
-            PAGE,
             load_protocol,
             load_tiers,
-            result_page,
             result_tables,
             run_benchmark,
         )
         from baselines.console import console
         from baselines.policies.load import check_known
         from baselines.policies.shielded import behind
-        from baselines.runs.files import alone, claim_folder, write_text
+        from baselines.runs.files import alone, claim_folder
 
         wrong = {"force and resume: allowed is one of them": self.force and self.resume}
         check_options("benchmark", wrong)
@@ -178,7 +162,6 @@ class Benchmark(Writes):
             except KeyboardInterrupt:
                 problem = f"{out} has the tiers that are done; continue with --resume"
                 raise KeyboardInterrupt(problem) from None
-        write_text(out / PAGE, result_page(record, out))
         for title, table in result_tables(record).items():
             table.print(f"{policy} on {self.split}: {title}")
         print(f"written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
@@ -205,7 +188,6 @@ class Runs:
 
 
 def line_of(run: RunFolder) -> tuple[str, ...]:
-    """Return a run's line of the table; of one that cannot be read, why."""
     from baselines.compare.records import Listed, Summary, validate
     from baselines.compare.text_table import shown
     from mbn_marl.errors import MbnError

@@ -28,8 +28,7 @@ class Deploy(InWeather):
     vehicle: Literal["quadrotor", "balancer"] = "quadrotor"
     """In MuJoCo."""
     wind_speeds: str | None = None
-    """Wind speeds to deploy at, such as 0.1,0.2,..,0.5, weakest first; without --figure only up to
-    the first failure."""
+    """Wind speeds, such as 0.1,0.2,..,0.5; without --figure only up to the first failure."""
     wind_angle: float = 30.0
     """The direction of those winds, degrees from +x."""
     compare: bool = False
@@ -49,8 +48,7 @@ class Deploy(InWeather):
     camera: Literal["field", "top", "chase"] = "field"
     """The camera: across the field, from above, or behind robot 0."""
     figure: Path | None = None
-    """Draw the paths to this .png, .pdf or .svg file: a panel for each wind and simulator with
-    --wind-speeds, else with --compare a panel for each field."""
+    """Draw the paths, with --compare or --wind-speeds, in this .png, .pdf or .svg file."""
     json: Path | None = None
     """Write all numbers to this file."""
 
@@ -167,7 +165,6 @@ class Deploy(InWeather):
 
 
 def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    """Print deployments (as ``summarise`` has them, with ``sim``) as a table, one a row."""
     from baselines.compare.text_table import TextTable, shown
 
     caption = (
@@ -202,10 +199,7 @@ def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
 def sweep_wind(
     policy: LoadedPolicy, simulator: Simulator, speeds: list[float], angle: float, *, every: bool
 ) -> list[Deployment]:
-    """Deploy a policy in winds, the weakest first, or without ``speeds`` in that of its settings.
-
-    Unless ``every``, the first failure is the last deployment.
-    """
+    """Deploy in winds, the weakest first, up to the first failure or in ``every`` one."""
     from mbn_marl.engine import BatchEngine
     from mbn_marl.sim3d import deploy
 
@@ -228,7 +222,6 @@ def strongest_wind(sweep: Sequence[Deployment]) -> float | None:
 
 
 def summarise(deployment: Deployment, scale: Scale) -> dict[str, Any]:
-    """Return a deployment at a scale as JSON values; what is not known is ``None``."""
     episode, taken = deployment.episode, deployment.seconds
     simulated = episode.steps * episode.config.tau * scale.seconds
     own = ("success", "makespan", "wall_hits", "separation", "tracking_error")

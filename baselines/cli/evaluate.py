@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,6 @@ from baselines.cli.options import OptionalOutput, Output, Subject, Writes, check
 from mbn_marl.optimum import optimality_gap
 
 ONE_EPISODE = "deterministic:\none episode"
-"""In place of a number of episodes, where all are the same."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,42 +25,18 @@ class Evaluate(Subject):
     seed: int | None = None
     """Of the episodes; by default the seed that every run's final evaluation has."""
     json: Path | None = None
-    """Write every episode to this file; with --wind-speeds by default RUN/wind.json."""
+    """Write every episode to this file."""
     record: Path | None = None
-    """A new folder for the best, the median and the worst episode with sampled actions, as files
-    for `mbn replay`."""
+    """A new folder for the best, the median and the worst sampled episode, for `mbn replay`."""
     shield: bool = False
     """Let robots do only what they could brake after, whatever the policy wants."""
-    wind_speeds: str | None = None
-    """Wind speeds to evaluate at, such as 0,0.1,..,0.5 (units/step per step)."""
-    wind_angle: float = 30.0
-    """The direction of that wind, degrees from +x."""
-    figure: Path | None = None
-    """With --wind-speeds: the picture of an episode at each, by default RUN/wind.png."""
 
     def run(self, command_line: str) -> None:
-        in_wind = self.wind_speeds is not None
-        homeless = self.field is not None or not Path(self.source).is_dir()
-        needed = "needed with --wind-speeds, unless POLICY is a run's folder in its field"
-        wrong = {
-            f"episodes: at least 1, not {self.episodes}": self.episodes < 1,
-            "figure: allowed with --wind-speeds": self.figure is not None and not in_wind,
-            f"json: {needed}": in_wind and homeless and self.json is None,
-            f"figure: {needed}": in_wind and homeless and self.figure is None,
-        }
-        for name in ("record", "condition", "wind"):
-            wrong[f"{name}: allowed without --wind-speeds"] = (
-                in_wind and getattr(self, name) is not None
-            )
-        check_options("evaluation", wrong)
-        title, how = self._subject()
-        if self.wind_speeds is None:
-            self._evaluate(title, how, command_line)
-        else:
-            self._evaluate_in_wind(title, how, command_line, self.wind_speeds)
+        few = self.episodes < 1
+        check_options("evaluation", {f"episodes: at least 1, not {self.episodes}": few})
+        self._evaluate(*self._subject(), command_line)
 
     def _subject(self) -> tuple[str, dict[str, Any]]:
-        """Return the policy's name in titles, and the arguments of `evaluate`."""
         from baselines.evaluation.evaluate import EVALUATION_SEED
         from baselines.policies.load import find_policy, is_trained, open_run
         from baselines.policies.shielded import Shielded, behind
@@ -110,26 +85,6 @@ class Evaluate(Subject):
                 save_episode(named, self.record / f"{name}.json")
             print(f"recorded: {', '.join(recorded)} in {self.record}")
 
-    def _evaluate_in_wind(
-        self, title: str, how: dict[str, Any], command_line: str, speeds: str
-    ) -> None:
-        from baselines.evaluation.wind import evaluate_in_wind, parse_speeds, write_panels
-        from baselines.runs.files import write_json
-        from mbn_marl.files import check_free, claim_file
-        from mbn_marl.render.figures import check_name
-
-        winds: dict[str, Any] = {"speeds": parse_speeds(speeds), "angle": self.wind_angle}
-        figure = check_name(self.figure or Path(self.source, "wind.png"))
-        results = self.json or Path(self.source, "wind.json")
-        for output in (results, figure):
-            check_free(output, force=self.force)
-        rows, episodes = evaluate_in_wind(**how, **winds)
-        written = {"command": command_line, "results": rows}
-        write_json(claim_file(results, force=self.force), written)
-        write_panels(episodes, claim_file(figure, force=self.force))
-        print_winds(rows, title=f"{title}: wind at {self.wind_angle:g} degrees")
-        print(f"written: {results}, {figure}")
-
 
 def print_evaluations(
     summaries: Iterable[Mapping[str, Any]],
@@ -137,11 +92,7 @@ def print_evaluations(
     optimum: float | None = None,
     one: Callable[..., bool] = lambda *, deterministic: False,
 ) -> None:
-    """Print evaluations (as ``Evaluation.summary()`` has them) as a table, one a row.
-
-    ``optimum`` is the proved best return, if there is one; ``one(deterministic=...)`` says whether
-    all episodes of a row are the same.
-    """
+    """Print summaries, one a row; ``one`` says if all episodes of a row are the same."""
     from baselines.compare.text_table import TextTable, shown
 
     caption = "" if optimum is None else f"gap: to the proved optimum, {optimum:,.0f}"
@@ -161,30 +112,6 @@ def print_evaluations(
     TextTable(caption, headings[columns], [line[columns] for line in lines]).print(title)
 
 
-def print_winds(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    from baselines.compare.text_table import TextTable, shown
-
-    def with_interval(row: Mapping[str, Any], name: str, mean: str, form: str) -> str:
-        ends = row[f"{name}_interval"]
-        if ends is None or ends["low"] is None:
-            return shown(row[mean], form)
-        return f"{form}\n{form} .. {form}".format(row[mean], ends["low"], ends["high"])
-
-    lines = [
-        (
-            f"{row['wind_speed']:g}",
-            "mean" if row["deterministic"] else "sampled",
-            str(row["episodes"]) if row["return_interval"] else ONE_EPISODE,
-            with_interval(row, "success", "success_rate", "{:.0%}"),
-            with_interval(row, "return", "return_mean", "{:,.0f}"),
-            with_interval(row, "makespan", "makespan", "{:.1f}"),
-        )
-        for row in rows
-    ]
-    headings = ("wind", "actions", "episodes", "success", "return", "makespan")
-    TextTable("intervals: 95 % over the episodes", headings, lines, words=2).print(title)
-
-
 @dataclass(frozen=True)
 class Zoo:
     """List the trained policies that `mbn evaluate` and `mbn render` take as zoo:NAME."""
@@ -192,8 +119,7 @@ class Zoo:
     add: Annotated[Path | None, arg(metavar="RUN")] = None
     """Make an entry of this finished run: evaluate its policy and write its card."""
     out: OptionalOutput = None
-    """The folder to make; by default the package's own, named as the run's field, or as its label
-    if it was trained on random fields."""
+    """The folder to make; by default the package's own, named as the run's field or label."""
 
     def run(self, command_line: str) -> None:
         from baselines.policies.load import CARD, ENTRIES, entry_names

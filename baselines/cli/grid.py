@@ -13,11 +13,7 @@ from baselines.cli.options import CORES
 
 @dataclass(frozen=True)
 class Grid:
-    """Train a grid of runs that a YAML file declares, see docs/grid.md.
-
-    The same command resumes failed and interrupted runs from their last checkpoints, and leaves
-    finished ones.
-    """
+    """Train a grid of runs that a YAML file declares; the same command again resumes it."""
 
     spec: Positional[Annotated[Path, arg(metavar="SPEC")]]
     """The YAML file."""

@@ -37,7 +37,6 @@ COMMANDS = {
     "zoo": "evaluate:Zoo",
     "export": "evaluate:Export",
 }
-"""The module of each command, and its class; none imports anything heavy itself."""
 
 EXTRAS = {
     "ray": "ray",
@@ -46,7 +45,6 @@ EXTRAS = {
     **dict.fromkeys(("mujoco", "coppeliasim_zmqremoteapi_client"), "sim3d"),
     **dict.fromkeys(("onnxruntime", "onnxscript"), "export"),
 }
-"""The extras with packages that commands need, if not the extra ``baselines``."""
 
 OWN_PACKAGES = ("mbn_marl", "baselines")
 READER_LEFT = 1
@@ -55,12 +53,7 @@ INTERRUPTED = 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run ``mbn`` with ``arguments``, by default those of the process.
-
-    Returns:
-        The exit code: 0, 2 for wrong input (a message, no traceback), 130 after Ctrl-C, 1 if
-        nobody reads the output any more.
-    """
+    """Run ``mbn``; return 0, 2 for wrong input, 130 after Ctrl-C, 1 if nobody reads the output."""
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
         signal.signal(signal.SIGTERM, _leave)
@@ -91,7 +84,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def read_command(words: Sequence[str]) -> Any:
-    """Return the command that ``words`` ask for, ready to ``run``; errors as ``read_options``."""
     name, *options = words
     for word in words:
         if any("\ud800" <= letter <= "\udfff" for letter in word):  # as Python has other bytes

@@ -19,7 +19,6 @@ from mbn_marl.errors import ConfigError
 Command = TypeVar("Command")
 REGISTRY = ConstructorRegistry()
 CORES = os.cpu_count() or 1
-"""The default number of runs at a time; each takes one core."""
 Output = Annotated[Path, arg(aliases=["-o"])]
 OptionalOutput = Annotated[Path | None, arg(aliases=["-o"])]
 
@@ -31,12 +30,7 @@ def check_options(command: str, wrong: Mapping[str, object]) -> None:
 
 
 def read_options(command: type[Command], words: Sequence[str], prog: str) -> Command:
-    """Make a command, a dataclass, from the words that follow its name on the command line.
-
-    Raises:
-        SystemExit: after ``--help``, or with code 2 after a message about wrong options.
-        MbnError: what the checks of a configuration say.
-    """
+    """Make a command of words; wrong options give SystemExit, wrong values an MbnError."""
     config = (tyro.conf.FlagCreatePairsOff,)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a default None that the class itself replaces
@@ -44,7 +38,6 @@ def read_options(command: type[Command], words: Sequence[str], prog: str) -> Com
 
 
 def whole_number(text: str) -> int:
-    """Return the whole number that ``text`` is, such as ``5000``, ``1_000_000`` or ``1e6``."""
     try:
         return int(text)
     except ValueError:
@@ -77,23 +70,18 @@ class Writes:
 class InWeather(Writes):
     source: Positional[Annotated[str, arg(metavar="POLICY")]]
     """The folder of a run; zoo:NAME, a policy of `mbn zoo`; zoo, that of the field; greedy,
-    earliest visit first; planner, the best plan, followed in closed loop; replan, which plans again
-    if the world leaves it; random; or module:callable, your own."""
+    planner, replan or random, see docs/planner.md; or module:callable, your own."""
     condition: Condition | None = None
-    """A named condition, whose weather and failures replace the policy's; by default as it was
-    trained."""
+    """A named condition, whose weather and failures replace those it was trained in."""
     wind: tuple[float, float] | None = None
-    """Speed (units/step per step) and angle (degrees from +x) of the wind; by default as it was
-    trained."""
+    """Speed (units/step per step) and angle (degrees from +x) that replace the trained wind."""
 
     @property
     def asked(self) -> dict[str, Any]:
-        """The settings that replace the policy's, for ``find_policy``."""
         return {"condition": self.condition} | ({} if self.wind is None else {"wind": self.wind})
 
     @property
     def weather(self) -> str:
-        """The end of titles, after the policy's name: the condition and the wind."""
         wind = "" if self.wind is None else ", wind {:g} at {:g} degrees".format(*self.wind)
         return ("" if self.condition is None else f", {self.condition}") + wind
 

@@ -88,7 +88,6 @@ class Plan(Writes):
 
 
 def proved_makespan(folder: Path, field: Field, settings: Mapping[str, Any]) -> int | None:
-    """Return the proved optimum in a plan's folder, if that plan is of this field and settings."""
     from baselines.runs.files import read_json
 
     path = folder / "plan.json"
@@ -158,10 +157,7 @@ def print_plan(found: FoundPlan) -> None:
 
 @dataclass(frozen=True)
 class Warmup:
-    """Compile the engine ahead of its first use, as for the image of a cluster's machines.
-
-    What is compiled lies in NUMBA_CACHE_DIR, or beside the sources: keep that folder.
-    """
+    """Compile the engine ahead of its first use, into NUMBA_CACHE_DIR or beside the sources."""
 
     observation: tuple[Observation, ...] = ("relative",)
     """The kinds of observation to compile for."""

@@ -21,8 +21,7 @@ class Render(Subject):
     source: Positional[Annotated[str, arg(metavar="POLICY|FIELD|EPISODE")]]
     """As for `mbn evaluate`; or a field, with random actions; or an episode's file."""
     out: Output
-    """A .json for the episode itself (see `mbn replay`), .gif or .mp4 for an animation, .png, .pdf
-    or .svg for its paths."""
+    """The file: a .json for `mbn replay`, .gif or .mp4, or .png, .pdf or .svg for the paths."""
     sampled: bool = False
     """Sample the policy's actions instead of taking their mean."""
     seed: int = 0
@@ -112,8 +111,7 @@ class Replay(Writes):
 @dataclass(frozen=True, kw_only=True)
 class _Window(Subject):
     source: Positional[Annotated[str, arg(metavar="POLICY|FIELD")]]
-    """As for `mbn evaluate`; or a field, with its policy of the zoo if there is one, else random
-    actions."""
+    """As for `mbn evaluate`; or a field, with its policy of the zoo, else with random actions."""
     sampled: bool = False
     """Sample the policy's actions instead of taking their mean."""
     seed: int = 0

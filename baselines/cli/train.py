@@ -19,8 +19,7 @@ class Train(Writes):
 
     config: Annotated[TrainConfig, arg(name="")]
     set: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE ...")] = ()
-    """Hyperparameters, or environment.NAME=VALUE for settings of the environment, that replace the
-    recorded ones; a value is JSON or a word, for example entropy=0.01 model.gamma=0.9."""
+    """Hyperparameters, or environment.NAME=VALUE for settings, as JSON or words: entropy=0.01."""
     condition: Condition | None = None
     """A named condition: settings of the environment."""
     wandb: str | None = None
@@ -28,8 +27,7 @@ class Train(Writes):
     out: OptionalOutput = None
     """The run folder; by default runs/ALGORITHM-SETTING-FIELD-seedSEED."""
     resume: bool = False
-    """Resume the interrupted run in the folder from its newest checkpoint; the rest of the command
-    must be the same."""
+    """Resume the interrupted run from its newest checkpoint, with the same command otherwise."""
 
     def run(self, command_line: str) -> None:
         from baselines.cli.evaluate import print_evaluations
@@ -68,8 +66,7 @@ class Transfer:
     fields: tuple[str, ...] = ()
     """Those to continue on: names of `mbn fields` or paths; by default all of the catalogue."""
     source: str = "field_01"
-    """The field of the policy. A finished run of it in OUT is taken, of any budget, or of that of
-    --source-steps."""
+    """The field of the policy; a finished run of it in OUT is taken, if --source-steps allows."""
     seed: int = 33
     """Of networks, exploration and worlds."""
     steps: int = 5_000_000

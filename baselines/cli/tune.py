@@ -27,8 +27,7 @@ class Tune:
     steps: int = 1_000_000
     """Budget of a trial in env-steps."""
     evaluate_every: int = 50_000
-    """Env-steps between two fresh evaluations; after each a trial whose best one so far is below
-    the median of the finished trials' is pruned."""
+    """Env-steps between two fresh evaluations; after each a trial may be pruned."""
     episodes: int = 100
     """Episodes of an evaluation."""
     seed: int = 33
@@ -38,8 +37,7 @@ class Tune:
     processes: int = CORES
     """local: trials at a time; each takes one core."""
     engine: Literal["local", "ray"] = "local"
-    """local: processes of this machine. ray: a Ray cluster that is already running, whose machines
-    see the folder of the study."""
+    """local: processes of this machine. ray: a running cluster that sees the study's folder."""
     address: str | None = None
     """ray: HOST:PORT of the cluster; by default $RAY_ADDRESS, or the cluster of this machine."""
     out: OptionalOutput = None

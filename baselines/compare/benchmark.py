@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from baselines.compare.report import Section, report_page
 from baselines.compare.summary import interquartile_mean
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
@@ -21,26 +19,21 @@ from baselines.evaluation.intervals import mean_interval, mean_of_known
 from baselines.policies.classical import NoPlanError
 from baselines.policies.load import Source
 from baselines.policies.policy import Policy, Wrapped
-from baselines.policies.shielded import Shielded, behind
+from baselines.policies.shielded import Shielded
 from baselines.runs.files import RunError, differences, read_json, versions, write_json
 from mbn_marl.config import Checked, Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
-from mbn_marl.episode import Episode, load_episode, save_episode
-from mbn_marl.errors import ConfigError, EpisodeError, FieldError, ProblemsError, collecting
+from mbn_marl.episode import Episode, save_episode
+from mbn_marl.errors import ConfigError, FieldError, ProblemsError, collecting
 from mbn_marl.field import Instance, load_split, splits
 from mbn_marl.planning import UnsolvableError
-from mbn_marl.render.figures import trajectory_panels
-from mbn_marl.version import __version__
 
-RESULT, PAGE, EPISODES = "result.json", "page.html", "episodes"
+RESULT, EPISODES = "result.json", "episodes"
 CHOSEN = ("median", "worst")
-"""The instances of a tier whose episodes are kept."""
 T_MAX = NavigationConfig().max_steps
 MISFITS = (ConfigError, NoPlanError, UnsolvableError)
-"""The errors of a policy that does not fit a field."""
 FORCE_HINT = "use --force to move the folder aside and start again"
 WAYS = ("mean", "sampled")
-"""Of acting: with the mean actions, with sampled ones."""
 METRICS: Mapping[str, tuple[str, str]] = {
     "success_rate": ("success", "{:.1%}"),
     "clean_rate": ("clean", "{:.1%}"),
@@ -57,7 +50,6 @@ METRICS: Mapping[str, tuple[str, str]] = {
 TIMES = {"decision_ms": ("ms a\ndecision", "{:.2f}"), "begin_s": ("s to\nbegin", "{:.2f}")}
 """Processor time of a decision of the team, and of what comes before the first one."""
 COLUMNS = {**METRICS, **TIMES}
-STATISTICS = {"mean": "means", "iqm": "interquartile means"}
 CAPTION = (
     "Intervals: 95 % over the instances. Gap: makespan over the proved bound, of successes. With "
     "failed: T_max, failures count as 1000 steps. Times: of the processor, with mean actions."
@@ -113,7 +105,6 @@ def load_protocol() -> Protocol:
 
 
 def load_tiers(split: str, tiers: Sequence[str]) -> dict[str, tuple[Instance, ...]]:
-    """Return the instances of each tier; a FieldError lists what ``load_split`` says of each."""
     problems: list[str] = []
     loaded = {}
     for tier in tiers:
@@ -135,25 +126,23 @@ def run_benchmark(
     resume: bool = False,
     advance: Callable[[int], object] = lambda count: None,
 ) -> dict[str, Any]:
-    """Measure a policy on all instances; write the result after each tier.
+    """Measure a policy, named as for :func:`baselines.load_policy`; write the result of each tier.
 
-    The ``source`` is that of :func:`baselines.load_policy`. With ``resume`` the tiers that are in
-    ``out`` are kept; ``advance`` receives the number of instances that are newly done.
+    With ``resume`` the tiers in ``out`` are kept; ``advance`` receives how many instances are done.
 
     Returns:
         The content of ``result.json``, as JSON values.
 
     Raises:
         ConfigError: the policy fits no tier, or its settings change the task (SettingsError).
-        RunError: there is no such policy, or it failed; or what is in ``out`` is damaged, or of
-            another command or version.
+        RunError: there is no such policy, it failed, or ``out`` has a result of other settings.
     """
     protocol, path = load_protocol(), out / RESULT
     asked = {"protocol": protocol.version, "splits": protocol.splits, "policy": source}
     asked |= {"shield": shield, "split": split, "asked": [*tiers]}
     record: dict[str, Any] = {**asked, "command": command, "versions": versions(), "tiers": {}}
     if resume and path.exists():
-        record = _resumed(path, record, asked, tiers)
+        record = _resumed(path, record, asked)
     loaded = Source(source)
     if loaded.run is not None:  # with settings that are the same in all fields
         check_settings(loaded.make(condition="calm").settings, "calm", protocol)
@@ -178,29 +167,21 @@ def run_benchmark(
     return record
 
 
-def _resumed(
-    path: Path,
-    new: Mapping[str, Any],
-    asked: Mapping[str, Any],
-    tiers: Mapping[str, Sequence[Instance]],
-) -> dict[str, Any]:
-    """Return the result to continue; a RunError says why that is not possible."""
+def _resumed(path: Path, new: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, Any]:
     try:
-        record = read_json(path)
+        record: dict[str, Any] = read_json(path)
         ours, theirs = (one["versions"]["packages"]["mbn-marl"] for one in (new, record))
-        done = record["tiers"]
-        problems = [] if isinstance(record["command"], str) else ["command: missing"]
-        both = done.keys() & tiers.keys()
+        parts = {"misfit", "instances"}
+        damaged = [tier for tier, one in record["tiers"].items() if not parts <= one.keys()]
     except RunError as error:
         raise RunError(f"{error}; {FORCE_HINT}") from None
     except (KeyError, TypeError, AttributeError):
         raise RunError(f"{path} is no result of mbn benchmark; {FORCE_HINT}") from None
+    problems = [f"{tier}: is damaged" for tier in damaged]
     problems += differences({**record, "mbn-marl": theirs}, {**asked, "mbn-marl": ours})
-    for tier in sorted(both):
-        problems += [f"{tier}: {problem}" for problem in tier_problems(done[tier], tiers[tier])]
     if problems:
         raise RunError(f"{path}: {'; '.join(problems)}; {FORCE_HINT}")
-    return dict(record)
+    return record
 
 
 def _run_tier(
@@ -275,10 +256,7 @@ def _run_instance(
 
 
 def check_settings(settings: Mapping[str, Any], condition: Condition, protocol: Protocol) -> None:
-    """Raise a SettingsError that lists the settings of a policy that change the task.
-
-    The size of the team is none of them.
-    """
+    """Raise a SettingsError that lists the settings of a policy, without its size of the team."""
     ours, theirs = make_config({"condition": condition}), make_config(settings)
     problems = [
         f"{name}: {getattr(theirs, name)!r}; allowed: {getattr(ours, name)!r}"
@@ -322,10 +300,7 @@ def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def statistics(values: Sequence[float | None]) -> dict[str, Any] | None:
-    """Return mean and interquartile mean with 95 % intervals, of the values that are known.
-
-    Both are bootstrapped over the values; one value alone has no interval.
-    """
+    """Return mean and interquartile mean of what is known, with bootstrapped 95 % intervals."""
     known = [value for value in values if value is not None]
     if not known:
         return None
@@ -340,62 +315,22 @@ def statistics(values: Sequence[float | None]) -> dict[str, Any] | None:
     }
 
 
-def tier_problems(one: Any, instances: Sequence[Instance]) -> Iterator[str]:
-    """Yield why what a result has of a tier is not what its rows say of today's instances."""
-    try:
-        if one["misfit"] is not None:
-            if not isinstance(one["misfit"], str) or one["instances"]:
-                yield "misfit: has instances, or gives no reason"
-            return
-        names = ("field", "condition", "makespan_lower_bound", "best_known")
-        known = [tuple(row[name] for name in names) for row in one["instances"]]
-        now = [
-            (each.field.name, *(getattr(each, name) for name in names[1:])) for each in instances
-        ]
-        if known != now:
-            yield "fields or bounds are not those of today; run it again"
-        elif not all(isinstance(row["mean"], dict) for row in one["instances"]):
-            yield "mean: missing"
-        elif not is_summary(one, one["instances"]):
-            yield "statistics are not those of its instances"
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        yield f"is not as mbn benchmark writes it: {type(error).__name__}: {error}"
-
-
-def is_summary(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> bool:
-    """Return whether statistics that were found are those of the rows, but for rounding."""
-    return all(_close(found[name], again) for name, again in summarise(rows).items())
-
-
-def _close(one: Any, other: Any) -> bool:
-    if isinstance(one, dict) and isinstance(other, dict):
-        return one.keys() == other.keys() and all(_close(one[name], other[name]) for name in one)
-    if isinstance(one, float | int) and isinstance(other, float | int):
-        return math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-12)
-    return bool(one == other)
-
-
-def cells(
-    found: Mapping[str, Any], way: str, statistic: str, columns: Iterable[str] = COLUMNS
-) -> tuple[str, ...]:
-    """Return a tier's statistics with their intervals below; dashes for what is not known."""
+def cells(found: Mapping[str, Any], way: str, columns: Iterable[str] = COLUMNS) -> tuple[str, ...]:
+    """Return a tier's means with their intervals below; dashes for what is not known."""
     known = {**(found.get(way) or {}), **(found.get("times") or {})}
-    ends = ("iqm_low", "iqm_high") if statistic == "iqm" else ("low", "high")
 
     def cell(name: str) -> str:
         if (one := known.get(name)) is None:
             return "-"
-        form, (low, high) = COLUMNS[name][1], (one[end] for end in ends)
-        alone = low is None or low == high
-        return form.format(one[statistic]) + (
-            "" if alone else f"\n{form} .. {form}".format(low, high)
-        )
+        form, low, high = COLUMNS[name][1], one["low"], one["high"]
+        ends = "" if low in (None, high) else f"\n{form} .. {form}".format(low, high)
+        return form.format(one["mean"]) + ends
 
     return tuple(map(cell, columns))
 
 
-def result_tables(record: Mapping[str, Any], statistic: str = "mean") -> dict[str, TextTable]:
-    """Return the tables of a result, one of :data:`STATISTICS`, by the way of acting in words."""
+def result_tables(record: Mapping[str, Any]) -> dict[str, TextTable]:
+    """Return the tables of a result by the way of acting in words."""
     misfits = {tier: one["misfit"] for tier, one in record["tiers"].items() if one["misfit"]}
     reasons = [f"{tier} does not fit: {reason}" for tier, reason in misfits.items()]
     tables = {}
@@ -407,31 +342,9 @@ def result_tables(record: Mapping[str, Any], statistic: str = "mean") -> dict[st
         if (every := record["all"]) is not None:
             lines.append(("all", str(every["instances"]), every))
         lines += [(tier, "-", {}) for tier in misfits]
-        tables[f"{way} actions, {STATISTICS[statistic]}"] = TextTable(
+        tables[f"{way} actions, means"] = TextTable(
             "\n".join([CAPTION, *reasons]),
             ("tier", "fields", *(heading for heading, _ in COLUMNS.values())),
-            [(tier, count, *cells(one, way, statistic)) for tier, count, one in lines],
+            [(tier, count, *cells(one, way)) for tier, count, one in lines],
         )
     return tables
-
-
-def result_page(record: Mapping[str, Any], out: Path) -> str:
-    means, iqms = (result_tables(record, statistic) for statistic in STATISTICS)
-    sections = [Section("All tiers", tables=means | iqms)]
-    sections += [_section(tier, one, out) for tier, one in record["tiers"].items()]
-    sections.append(Section("Command", texts={"This benchmark": record["command"]}))
-    policy = f"{record['policy']}{behind(record['shield'])} on the split {record['split']}"
-    by = f"protocol {record['protocol']}. Made by mbn_marl {__version__}."
-    return report_page("Benchmark", f"{policy}, {by}", sections)
-
-
-def _section(tier: str, found: Mapping[str, Any], out: Path) -> Section:
-    if found["misfit"]:
-        return Section(tier, texts={"Does not fit": found["misfit"]})
-    try:
-        episodes = [load_episode(out / EPISODES / f"{tier}-{name}.json") for name in CHOSEN]
-    except (EpisodeError, OSError) as error:  # of a tier that was done before
-        return Section(tier, texts={"Not shown": str(error)})
-    lasts = {episode.source: episode.snapshot(episode.steps) for episode in episodes}
-    title = f"Paths in the median and the worst instance of {tier}"
-    return Section(tier, {}, {title: trajectory_panels(lasts, columns=2)}, episodes)

@@ -23,9 +23,7 @@ from mbn_marl.render import style
 
 FloatArray = NDArray[np.float64]
 Curves = Mapping[str, Sequence[tuple[FloatArray, FloatArray]]]
-"""For each label, per seed, env-steps and returns, (k,) each; the steps increase."""
 Band = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""Steps, mean, and the two ends of the band, (k,) each."""
 
 _AGGREGATES = {
     "interquartile mean": "iqm",
@@ -37,7 +35,6 @@ _PAIR_MARKS: tuple[dict[str, Any], ...] = (
     {"marker": "o", "ls": "none", "color": style.BLUE, "mfc": style.WHITE, "ms": 7.5, "mew": 1.3},
     {"marker": "s", "ls": "none", "color": style.VERMILLION, "ms": 3.8},
 )
-"""The first of a pair is a ring, the second a square that fits inside."""
 
 
 class Panel(NamedTuple):
@@ -48,7 +45,7 @@ class Panel(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """Two returns to compare; ``None`` is missing."""
+    """``None`` is missing."""
 
     first: float | None
     second: float | None
@@ -77,7 +74,6 @@ def draw_statistics(comparison: Comparison) -> dict[str, Figure]:
 def draw_learning_curves(
     field: str, groups: Mapping[str, Sequence[RunRecord]], looks: Mapping[str, int]
 ) -> Figure:
-    """Draw the learning curves of the runs on one field, by label."""
     found = {}
     for label, runs in groups.items():
         tables = [DataFrame(one.evaluations) for one in runs]
@@ -96,17 +92,8 @@ def learning_curves(
 ) -> Figure:
     """Draw the mean return over seeds against env-steps with its 95 % band, a panel a field.
 
-    The axes are common. If returns of early training lie far below the others, that of returns is
-    logarithmic below minus the highest return drawn, and its label says so.
-
-    Args:
-        panels: by title.
-        looks: the number of each label's style, in the order of the legend.
-        subject: the label of the axis of returns.
-        threshold: a return to mark.
-
-    Raises:
-        MbnError: the seeds of a label have no range of env-steps in common.
+    If early returns lie far below the others, the axis is logarithmic there, as its label says. An
+    MbnError names a label whose seeds have no range of env-steps in common.
     """
     bands = {
         (title, name): mean_and_band(f"{title}, {name}", seeds)
@@ -155,13 +142,7 @@ def pairs(
     names: tuple[str, str],
     threshold: float = RETURN_THRESHOLD,
 ) -> Figure:
-    """Draw two returns side by side on a line each, a panel a title, on common axes.
-
-    Args:
-        panels: for each title, for each line of its panel, the two returns.
-        names: what the first and the second return of each pair are.
-        threshold: a return to mark.
-    """
+    """Draw two returns on a line each, a panel a title; ``names`` are those of the two."""
     found = itertools.chain(*(itertools.chain(*panel.values()) for panel in panels.values()))
     values = [value for value in found if value is not None]
     labels = list(dict.fromkeys(label for panel in panels.values() for label in panel))
@@ -195,7 +176,6 @@ def pairs(
 
 @matplotlib.rc_context(style.MATPLOTLIB)
 def intervals_figure(panels: Mapping[str, Mapping[str, Estimate]]) -> Figure:
-    """Draw shares with their intervals, a panel for each title, one below the other."""
     heights = [len(lines) + 1.0 for lines in panels.values()]
     tall = sum(0.25 * height + 0.55 for height in heights)
     figure = Figure(figsize=(4.6, tall), layout="constrained")  # about as wide as a phone
@@ -218,15 +198,9 @@ def intervals_figure(panels: Mapping[str, Mapping[str, Estimate]]) -> Figure:
 def profiles_figure(
     profiles: Mapping[str, Profile], thresholds: FloatArray, looks: Mapping[str, int]
 ) -> Figure:
-    """Draw performance profiles: the share of runs above each threshold.
+    """Draw the share of runs above each of ``thresholds`` (k,), shares of the optimum up to 1.
 
-    The axis is logarithmic in what a threshold lacks of 1, since good runs differ there, and begins
-    where the first profile falls.
-
-    Args:
-        profiles: by label, taken at the thresholds.
-        thresholds: (k,), increasing up to 1, shares of the proved optimum.
-        looks: the number of each label's style.
+    The axis is logarithmic in what a threshold lacks of 1: good runs differ there.
     """
     figure = Figure(figsize=(4.6, 3.6), layout="constrained")
     axes = figure.add_subplot()
@@ -276,7 +250,6 @@ def mean_and_band(name: str, runs: Sequence[tuple[NDArray[Any], NDArray[Any]]]) 
 
 
 def _layout(count: int, tall: float) -> tuple[Figure, NDArray[np.object_]]:
-    """Make a figure of ``count`` panels, ``tall`` inches each, with common axes, two a row."""
     columns = min(count, 2)
     rows = -(-count // columns)
     figure = Figure(figsize=(7.2, tall * rows + 0.75), layout="constrained")
@@ -291,10 +264,7 @@ def _layout(count: int, tall: float) -> tuple[Figure, NDArray[np.object_]]:
 def _scale_returns(
     axes: Axes, which: Literal["x", "y"], bottom: float, top: float, *, ticks: int = 4
 ) -> str:
-    """Scale an axis for returns up to ``top`` > 0; return a note for its label.
-
-    It is linear if ``bottom`` is not far below, with about ``ticks`` ticks.
-    """
+    """Scale an axis for returns up to ``top`` > 0; return a note for its label."""
     axis = axes.xaxis if which == "x" else axes.yaxis
     if bottom >= -2.0 * top:
         axis.set_major_locator(MaxNLocator(ticks + 2, steps=[1, 2, 5, 10]))

@@ -27,9 +27,7 @@ from mbn_marl.field import Field
 from mbn_marl.optimum import VIEW, optimal_return
 
 NEEDED = ("algorithm", "setting", "field", "seed")
-"""Entries that the configuration of every run must have."""
 CONFIG = ("steps", "evaluate_every", "episodes", "environment", "hyperparameters")
-"""Those that a comparison needs besides."""
 BUDGET = ("steps", "evaluate_every", "episodes")
 """Settings that must be the same in all runs."""
 LEARNER = ("algorithm", "setting", "environment", "hyperparameters")
@@ -83,10 +81,7 @@ class RunRecord:
 
     @classmethod
     def read(cls, run: RunFolder, *, finished: bool = True) -> RunRecord:
-        """Read a run; check too that it has all that a comparison needs, if it is ``finished``.
-
-        A RunError names a file that cannot be read, or lacks what runs record now.
-        """
+        """Read a run, with all that a comparison needs if ``finished``; a RunError names a file."""
         record = cls(run, run.config, run.field)
         path = run.path / "config.json"
         needed = (*NEEDED, *CONFIG) if finished else NEEDED
@@ -124,7 +119,6 @@ class RunRecord:
 
     @property
     def default_label(self) -> str:
-        """The name of runs that differ from others by algorithm and setting alone."""
         return default_label(self.config["algorithm"], self.config["setting"])
 
     @cached_property
@@ -140,7 +134,6 @@ class RunRecord:
 
 
 def validate(model: type[Content], content: Any, path: Path, place: str = "") -> Content:
-    """Check the content of a file of a run; raise a RunError that names each wrong entry."""
     try:
         return model.model_validate(content)
     except ValidationError as error:
@@ -155,10 +148,9 @@ def find_records(
     comparisons: bool = True,
     finished: bool = True,
 ) -> list[RunRecord]:
-    """Read the runs at ``paths``, see ``run_folders``, and :meth:`RunRecord.read` for ``finished``.
+    """Read the runs at ``paths``, see ``run_folders``; a RunError names one that cannot be read.
 
-    Runs on random fields are left out; ``note`` receives a line about each. A RunError names a
-    path that holds no run, and a run that cannot be read.
+    Runs on random fields are left out; ``note`` receives a line about each.
     """
     runs = [RunFolder.open(path) for path in run_folders(paths, note, comparisons=comparisons)]
     some = [run for run in runs if isinstance(run.fields, Field)]
@@ -169,10 +161,7 @@ def find_records(
 
 
 def ordered(algorithms: Mapping[str, str]) -> dict[str, int]:
-    """Order labels, given with their algorithms, and number their looks for ``style.series``.
-
-    Algorithms are in the order of the registry, labels of one algorithm in alphabetical order.
-    """
+    """Order labels, given with their algorithms, and number their looks for ``style.series``."""
     # An algorithm looks the same in every report: its first label has the algorithm's place in
     # the registry as its look; each further label has the next look that is free.
     places = {label: list(ALGORITHMS).index(name) for label, name in algorithms.items()}
@@ -201,10 +190,7 @@ class Results:
         broken: Mapping[str, str] | None = None,
         order: Sequence[str] = (),
     ) -> Results:
-        """Put finished runs together, their labels in an ``order``, or that of their algorithms.
-
-        A ConfigError names everything that keeps them from being compared.
-        """
+        """Put finished runs together; a ConfigError names all that makes them unequal."""
         if not records:
             raise ConfigError("comparison", ["runs: there is none"])
         looks = ordered({one.label: one.config["algorithm"] for one in records})
@@ -255,7 +241,6 @@ class Results:
 
 
 def _unequal_seeds(cells: Mapping[tuple[str, str], Sequence[RunRecord]]) -> Iterator[str]:
-    """Name cells with fewer seeds than another has, and seeds that are there twice."""
     seeds = {place: Counter(one.config["seed"] for one in cell) for place, cell in cells.items()}
     most = max(map(len, seeds.values()))
     for (label, field), counts in seeds.items():
@@ -268,7 +253,6 @@ def _unequal_seeds(cells: Mapping[tuple[str, str], Sequence[RunRecord]]) -> Iter
 
 
 def _unequal_settings(records: Sequence[RunRecord], labels: Collection[str]) -> Iterator[str]:
-    """Name settings that differ where runs have to be alike, and fields of one name."""
 
     def task(record: RunRecord) -> dict[str, Any]:
         world = record.config["environment"]

@@ -38,13 +38,8 @@ def train_all_runs(
 ) -> Results:
     """Train every run into a folder under ``out``, so many ``processes`` at a time.
 
-    A run that diverges stops no other; its label is then left out of the results, which say so.
-    With ``resume``, finished runs there are kept, unfinished ones resumed, missing ones started.
-    ``wandb`` is a project of Weights & Biases to log to as well.
-
-    Raises:
-        RunError: ``out`` already holds something, or a run failed, or all labels diverged.
-        ConfigError: naming all that is not valid, or with ``resume`` all that differs.
+    A run that diverges stops no other; its label is then left out of the results, which say so. A
+    RunError says that a run failed or all labels diverged, a ConfigError all that is not valid.
     """
     if wandb is not None:
         find_wandb()

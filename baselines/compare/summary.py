@@ -23,9 +23,7 @@ from baselines.evaluation.intervals import RETURN_THRESHOLD, mean_interval, mean
 
 RESAMPLES, CERTAIN = 10_000, 0.05
 ENDS = (2.5, 97.5)
-"""Percentiles of a resampled statistic that bound its 95 % interval."""
 THRESHOLDS = np.concatenate([np.arange(90) / 100, np.arange(900, 1001) / 1000])
-"""Scores at which performance profiles are taken: more closely near the best possible one."""
 
 FloatArray = NDArray[np.float64]
 

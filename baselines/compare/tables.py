@@ -27,14 +27,9 @@ OF_FIELDS = FORMS + (
     "seeds. mean actions: the return without sampling. to 100k: until the first fresh evaluation "
     "at 100 000 or more, mean of the runs that got there (how many did)."
 )
-OF_GAPS = (
-    "How far the mean return with sampled actions falls short of the proved optimum, with its 95 % "
-    "bootstrap interval over seeds."
-)
 
 
 def print_comparison(comparison: Comparison, console: Console) -> None:
-    """Print the result, and every table with what its columns mean below."""
     console.print(comparison.question, markup=False)
     console.print(comparison.verdict, "\n", markup=False)
     for title, table in field_tables(comparison).items():
@@ -46,7 +41,7 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
 
 
 def field_tables(comparison: Comparison) -> dict[str, TextTable]:
-    """Return a table for each field, by title, which begins with the field's name and a colon."""
+    """Return a table for each field, by title."""
     headings = (
         *("algo", "C/D", "return", "interval\n(x 1000)", "success", "make-\nspan"),
         *("of\nopti-\nmum", "mean\nactions", "steps to\n100k"),
@@ -89,16 +84,6 @@ def overall_tables(comparison: Comparison) -> dict[str, TextTable]:
     return tables
 
 
-def gaps(comparison: Comparison) -> TextTable:
-    """Return how far each label falls short of the proved optimum on each field."""
-    proved = [row for row in comparison.rows if row["optimum"] is not None]
-    lines = []
-    for field, rows in _by_field(proved).items():
-        cells = {row["label"]: _gap(row) for row in rows}
-        lines.append((field, *(cells.get(label, "-") for label in comparison.looks)))
-    return TextTable(OF_GAPS, ("field", *comparison.looks), lines)
-
-
 def _by_field(rows: Sequence[Numbers]) -> dict[str, list[Numbers]]:
     fields = dict.fromkeys(row["field"] for row in rows)
     return {field: [row for row in rows if row["field"] == field] for field in fields}
@@ -135,14 +120,6 @@ def _aggregates(comparison: Comparison) -> TextTable:
 
 def _letter(numbers: Numbers) -> str:
     return str(numbers["form"])[0].upper()
-
-
-def _gap(row: Numbers) -> str:
-    mean, low, high = (
-        None if row[name] is None else 100.0 * (1.0 - row[name] / row["optimum"])
-        for name in ("return_mean", "return_low", "return_high")
-    )
-    return f"{mean:.2f}%" + ("" if low is None else f" ({high:.2f}..{low:.2f})")
 
 
 def _steps_to_threshold(numbers: Numbers, runs: int) -> str:

@@ -1,10 +1,9 @@
-"""A table of words, as Markdown, LaTeX, HTML and a terminal show it."""
+"""A table of words, as Markdown, LaTeX and a terminal show it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 from rich import box
@@ -18,24 +17,19 @@ if TYPE_CHECKING:
 
 DASH = "–"  # noqa: RUF001  (a dash, not a minus)
 
-_MARKDOWN = str.maketrans({"|": r"\|", "<": "&lt;", "\n": " ", "\r": " "})
+_MARKDOWN = str.maketrans({"|": r"\|", "<": "&lt;", "\n": "<br>", "\r": " "})
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 def shown(value: Any, form: str = "{:,.0f}") -> str:
-    """Return a number in a form; a dash for none."""
     return "-" if value is None else form.format(value)
 
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of words.
+    """A heading may have several lines; an empty first word belongs to the word above it.
 
-    Attributes:
-        caption: sentences about it.
-        headings: of the columns; one may have several lines.
-        lines: each as long as the headings; an empty first word belongs to the word above it.
-        words: the number of columns, from the left, that hold words and no numbers.
+    The first ``words`` columns hold words, the others numbers.
     """
 
     caption: str
@@ -62,21 +56,6 @@ class TextTable:
         table = DataFrame(self.lines, columns=list(self.headings))
         text: str = table.to_latex(index=False, escape=True, **how)
         return text.replace("& -", "& $-$")  # a real minus
-
-    def html(self, title: str) -> str:
-        """Return HTML with the title above and the caption below; its style is report.css."""
-
-        def row(tag: str, cells: Sequence[str]) -> str:
-            kinds = [' class="word"'] * self.words + [""] * (len(cells) - self.words)
-            made = map(f"<{tag}{{}}>{{}}</{tag}>".format, kinds, map(escape, cells))
-            return f"<tr>{''.join(made)}</tr>"
-
-        body = "".join(row("td", line) for line in self.lines)
-        table = f"<table><thead>{row('th', self.headings)}</thead><tbody>{body}</tbody></table>"
-        return (
-            f'<h3>{escape(title)}</h3><div class="table">{table}</div>'
-            f'<p class="caption">{escape(self.caption)}</p>'
-        )
 
     def print(self, title: str = "", screen: Console | None = None) -> None:
         """Print it, by default on the standard output, with its caption below."""

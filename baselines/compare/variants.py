@@ -38,7 +38,6 @@ class Variant(BaseModel):
         return self.label or default_label(self.algorithm, self.setting)
 
     def training(self, field: str, seed: int, **budget: Any) -> TrainConfig:
-        """Return its training on a field; errors as those of :class:`TrainConfig`."""
         return TrainConfig(field=field, seed=seed, **self.model_dump(), **budget)
 
 
@@ -59,7 +58,6 @@ Word = Annotated[
         str_from_instance=lambda value: [value.name],
     ),
 ]
-"""A variant as a word of the command line."""
 
 
 def read_variants(path: Path) -> tuple[Variant, ...]:
@@ -68,7 +66,6 @@ def read_variants(path: Path) -> tuple[Variant, ...]:
 
 
 def labelled(blocks: Mapping[str, Any], place: str) -> tuple[Variant, ...]:
-    """Return the variants of ``blocks`` by label; errors as :func:`read_variants`."""
     return tuple(
         validate(Variant, {**block, "label": str(label)}, f"{place}: {label}")
         for label, block in blocks.items()

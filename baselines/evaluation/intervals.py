@@ -47,15 +47,6 @@ def mean_interval(values: Sequence[float]) -> Interval:
     return Interval(mean, *map(float, found.confidence_interval))
 
 
-def share_interval(outcomes: Sequence[bool]) -> Interval:
-    """The share of ``True`` with Wilson's 95 % interval, for one outcome or more, independent."""
-    from scipy import stats
-
-    test = stats.binomtest(sum(outcomes), len(outcomes))
-    low, high = test.proportion_ci(method="wilson")
-    return Interval(sum(outcomes) / len(outcomes), float(low), float(high))
-
-
 def mean_of_known(values: Iterable[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None

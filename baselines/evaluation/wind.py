@@ -1,17 +1,8 @@
-"""Evaluate a policy at several wind speeds."""
+"""Wind speeds, as the command line has them."""
 
 import itertools
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
 
-from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
-from baselines.evaluation.intervals import mean_interval, share_interval
-from baselines.policies.policy import Policy
-from mbn_marl.episode import Episode
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import Field
-from mbn_marl.render import figures
 
 MOST_SPEEDS = 100
 ALLOWED = (
@@ -42,52 +33,3 @@ def parse_speeds(text: str) -> list[float]:
             raise ConfigError("wind", [f"wind_speeds {text!r}: {place}; {ALLOWED}"]) from None
         speeds.append(end)
     return speeds
-
-
-def evaluate_in_wind(
-    policy: Policy,
-    field: Field,
-    settings: Mapping[str, Any],
-    speeds: Sequence[float],
-    angle: float,
-    *,
-    episodes: int,
-    seed: int,
-) -> tuple[list[dict[str, Any]], dict[str, Episode]]:
-    """Evaluate at every speed, both ways to act; also return an episode of each, by its wind."""
-    rows: list[dict[str, Any]] = []
-    drawn: dict[str, Episode] = {}
-    for speed, deterministic in itertools.product(speeds, (False, True)):
-        world = {**settings, "wind": (speed, angle)}
-        one = is_one_episode(policy, world, deterministic=deterministic)
-        evaluation = evaluate(
-            *(policy, field, world),
-            episodes=1 if one else episodes,
-            deterministic=deterministic,
-            seed=seed,
-            record=[0] if deterministic else [],
-        )
-        wind = {"wind_speed": speed, "wind_angle": angle}
-        rows.append({**wind, **with_intervals(evaluation, one_episode=one)})
-        drawn.update({f"wind {speed:g}": episode for episode in evaluation.recorded})
-    return rows, drawn
-
-
-def with_intervals(evaluation: Evaluation, *, one_episode: bool) -> dict[str, Any]:
-    """An evaluation as JSON values, with 95 % intervals unless it is of ``one_episode``."""
-    makespans = evaluation.makespans
-    intervals = {
-        "success_interval": share_interval(evaluation.successes),
-        "return_interval": mean_interval(evaluation.returns),
-        "makespan_interval": mean_interval(makespans) if makespans else None,
-    }
-    shown = {
-        name: None if interval is None or one_episode else interval._asdict()
-        for name, interval in intervals.items()
-    }
-    return {**evaluation.to_json(), **shown}
-
-
-def write_panels(episodes: Mapping[str, Episode], path: Path) -> None:
-    lasts = {name: episode.snapshot(episode.steps) for name, episode in episodes.items()}
-    figures.save(figures.trajectory_panels(lasts), path)

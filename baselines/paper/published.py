@@ -9,9 +9,7 @@ from typing import Any
 from baselines.algorithms import Setting
 
 ALGORITHM_UNIT = 1e6
-"""One unit of the paper's numbers per algorithm, in reward units; those per field are in reward."""
 STATISTICS = {"mean": "mean", "SD": "sd", "max": "max", "range": "range"}
-"""The numbers of a cell: as the paper calls them -> as the file does."""
 Numbers = dict[str, float]
 """A cell's numbers in reward units, by the names in ``STATISTICS``."""
 
@@ -26,7 +24,6 @@ FIELDS: list[str] = list(_FILE["environments"]["A"])
 
 
 def display_name(algorithm: str) -> str:
-    """An algorithm as the paper writes it; one that it does not have in capitals."""
     return ALGORITHMS.get(algorithm, algorithm.upper())
 
 

@@ -24,7 +24,6 @@ from mbn_marl.render import figures
 
 TABLES = ("algorithms.csv", "algorithms.tex", "fields.csv", "fields.tex")
 OTHERS = [setting for setting in published.REPORTED if setting != "A"]
-"""Settings that are compared with A."""
 
 
 def write_report(
@@ -39,11 +38,8 @@ def write_report(
 ) -> Place:
     """Write the report on the runs at ``paths``: run folders, folders that hold some, or reports.
 
-    Args as for :func:`baselines.compare.report.report_comparison`; besides, ``study`` is the folder
-    of a study of hyperparameters to draw, ``notes`` a Markdown file for the top of the page.
-
-    Raises:
-        RunError: a run, the study or the notes cannot be read, or something is at ``out`` already.
+    ``study`` is the folder of a study of hyperparameters, ``notes`` a Markdown file for the top. A
+    RunError names what cannot be read, or what is at ``out`` already.
     """
     preface = "" if notes is None else read_text(notes).strip()
     trainings = find_trainings(paths, note)
@@ -124,7 +120,6 @@ def _page(
 
 
 def learning_curves(trainings: Trainings, setting: str) -> Figure | None:
-    """Draw the learning curves of a setting, a panel a field; ``None`` if it has no episode."""
     rows = trainings.rows[trainings.rows.setting == setting]
     if rows.empty:
         return None
@@ -146,11 +141,7 @@ def learning_curves(trainings: Trainings, setting: str) -> Figure | None:
 
 
 def against(trainings: Trainings, first: str, second: str) -> Figure | None:
-    """Draw one setting against another, in the cells that both have; ``None`` if there is none.
-
-    A panel an algorithm, with a line for each field, for these fields together, and for the
-    paper's number over all ten fields, if the paper has both settings.
-    """
+    """Draw one setting against another, a panel an algorithm; ``None`` without a common cell."""
     rows = trainings.rows[trainings.rows.setting.isin([first, second])]
     means = rows.pivot_table("moving_mean", ["algorithm", "field"], "setting")
     means = means.reindex(columns=[first, second]).dropna()

@@ -17,15 +17,10 @@ from baselines.paper.published import STATISTICS
 from baselines.paper.trainings import CELL, Trainings
 
 MISSING = "missing"
-"""A cell that no run has given."""
 
 
 def of_episodes(rows: DataFrame) -> list[float]:
-    """The numbers of a cell over every training episode of ``rows`` (reward units).
-
-    Exact, from the count, mean, deviation and range of each row: the squared deviation from the
-    mean of all is the row's variance plus the square of its mean's distance.
-    """
+    """Exact numbers of a cell over every training episode of ``rows`` (reward units)."""
     some = rows[rows.episodes > 0]
     mean = np.average(some.return_mean, weights=some.episodes)
     squares = some.return_std**2 + (some.return_mean - mean) ** 2
@@ -64,16 +59,11 @@ COLUMNS = [
     for source in ("paper", "here")
     if source == "here" or setting in published.SETTINGS
 ]
-"""Columns of a table: a setting, in the paper or here."""
 
 
 @dataclass(frozen=True)
 class PaperTable:
-    """A table of one of the ``KINDS``, with our numbers over one of the ``SAMPLES``.
-
-    ``cells`` (reward units) has a row for each (row, setting, source), a column for each of
-    ``STATISTICS``; NaN where there is nothing.
-    """
+    """``cells`` (reward units or NaN): rows (row, setting, source), a column a statistic."""
 
     kind: str
     sample: str
@@ -81,7 +71,6 @@ class PaperTable:
 
     @classmethod
     def of(cls, kind: str, sample: str, names: Iterable[str], rows: DataFrame) -> PaperTable:
-        """Make the table of the rows ``names`` from the paper's numbers and training's ``rows``."""
         here = {
             (*key, "here"): Series(SAMPLES[sample][1](group), list(STATISTICS))
             for key, group in rows.groupby([kind, "setting"], sort=False)
@@ -99,7 +88,6 @@ class PaperTable:
         return column.dropna().sort_values(ascending=False, kind="stable")
 
     def text(self) -> TextTable:
-        """The table as it is shown: four lines a row, one for each number."""
         title, _, unit, unit_name, digits = KINDS[self.kind]
 
         def word(number: float, source: str) -> str:
@@ -142,11 +130,7 @@ def marked(setting: str) -> str:
 
 
 def paper_tables(trainings: Trainings) -> list[PaperTable]:
-    """Per algorithm and per field, each over single episodes and over moving means.
-
-    Runs on other fields have rows of their own per field, but are not in an algorithm's numbers;
-    runs of other algorithms the other way round.
-    """
+    """Per algorithm over the paper's fields, per field over its algorithms, for both samples."""
     rows = trainings.rows
     papers = (
         rows[rows.field.isin(published.FIELDS)],
@@ -158,7 +142,6 @@ def paper_tables(trainings: Trainings) -> list[PaperTable]:
 
 
 def write_csv(tables: Iterable[PaperTable]) -> str:
-    """Tables of one kind as CSV; the paper's numbers once."""
     lines = pandas.concat([table.lines() for table in tables]).drop_duplicates()
     return csv_text(lines, "%.10g")
 
@@ -188,7 +171,6 @@ def success(trainings: Trainings) -> TextTable:
 
 
 def reached(trainings: Trainings) -> TextTable:
-    """The runs of each algorithm that passed the threshold, and the soonest of them."""
 
     def cell(runs: DataFrame) -> str:
         hits = runs.reach.count()
@@ -207,7 +189,6 @@ def reached(trainings: Trainings) -> TextTable:
 
 
 def ranking(trainings: Trainings) -> TextTable:
-    """The algorithms of each setting from the best mean to the worst, in the paper and here."""
     alike = trainings.alike()
     tables = [table for table in paper_tables(alike) if table.kind == "algorithm"]
     lines = []

@@ -26,20 +26,16 @@ from mbn_marl.optimum import optimal_return
 CELL = ["algorithm", "setting", "field"]
 """Columns that name a cell of the experiment; its runs differ in their seeds."""
 RUN = [*CELL, "seed"]
-"""Columns that name a run."""
 SMOOTHING = 100
 """Episodes of the moving mean: what Stable-Baselines3 logs as ``rollout/ep_rew_mean``."""
 RETURNS = ["return_mean", "return_std", "return_min", "return_max"]
 COLUMNS = ["env_steps", "episodes", *RETURNS]
-"""The columns of ``progress.csv`` that are read."""
 TYPES: dict[str, type] = {
     **{**dict.fromkeys(CELL, str), "seed": int, "env_steps": int},
     **dict.fromkeys(("optimum", "reach", "success_rate", "return_mean"), float),
     **{"finished": bool, "command": str},
 }
-"""The columns of ``Trainings.runs``."""
 RUNS_FILE, ROWS_FILE = "runs.csv", "progress.csv.xz"
-"""Files of a report that hold its ``Trainings``."""
 
 
 @dataclass(frozen=True)
@@ -96,12 +92,9 @@ def find_trainings(
 ) -> Trainings:
     """Read the runs at ``paths``: run folders, folders with run folders anywhere inside, reports.
 
-    Studies, comparisons and what ``--force`` moved aside are left out inside, which ``note``
-    receives; a comparison or a folder moved aside that is a path itself is read. Of two runs of one
-    cell and seed, of which one is unfinished, the finished one is read.
-
-    Raises:
-        RunError: a path holds no run, a run cannot be read, or two are of one cell and seed.
+    Inside, studies, comparisons and what ``--force`` moved aside are left out; ``note`` says so.
+    Of two runs of one cell and seed, one of them unfinished, the finished one is read. A RunError
+    names two that are alike otherwise, and what cannot be read.
     """
     paths = list({path.resolve(): path for path in paths}.values())
     reports = [path for path in paths if (path / RUNS_FILE).is_file()]
@@ -179,15 +172,10 @@ def _known_first(known: Iterable[str], found: Iterable[str]) -> list[str]:
 
 
 def read_progress(path: Path) -> DataFrame:
-    """Read a ``progress.csv``; one that is not there yet gives no rows.
+    """Read a ``progress.csv``, a row a window of training; one that is not there gives no rows.
 
-    Returns:
-        A row for each window of training: ``env_steps`` at its end, ``episodes`` that ended in it,
-        mean, population deviation, minimum and maximum of their true team returns (``return_...``,
-        reward units; NaN without an episode), and the ``moving_mean``, see :func:`moving_mean`.
-
-    Raises:
-        RunError: naming the file, and the column or the line that is not as it should be.
+    Returns are true team returns in reward units, NaN without an episode. A RunError names the
+    file, and the column or the line that is not as it should be.
     """
     text = read_text(path) if path.exists() else ",".join(COLUMNS)
     try:

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -121,22 +119,6 @@ def save(figure: Figure, path: str | Path) -> Path:
     with replacing(path) as temporary:
         figure.savefig(temporary)
     return path
-
-
-@matplotlib.rc_context(style.MATPLOTLIB)
-def svg(figure: Figure) -> bytes:
-    """Return an SVG picture whose ground and inks follow the reader's light or dark mode."""
-    stream = io.StringIO()
-    figure.savefig(stream, format="svg", facecolor="none")
-    picture = stream.getvalue()
-    for number, colour in enumerate(style.THEMED):
-        picture = re.sub(colour, f"var(--c{number})", picture, flags=re.IGNORECASE)
-    light, dark = (
-        "".join(f"--c{number}:{colour};" for number, colour in enumerate(theme))
-        for theme in zip(*style.THEMED.values(), strict=True)
-    )
-    rules = f":root{{{light}}}@media (prefers-color-scheme: dark){{:root{{{dark}}}}}"
-    return re.sub(r"(<svg[^>]*>)", rf"\1<style>{rules}</style>", picture, count=1).encode()
 
 
 def _canvas(field: Field, title: str) -> tuple[Figure, Axes]:

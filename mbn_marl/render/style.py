@@ -85,16 +85,6 @@ PAGE: Final[dict[str, tuple[str, str]]] = {
     **{f"robot-{k}": (c, WHITE if c == BLACK else c) for k, c in enumerate(ROBOTS)},
 }
 
-# Colours of figures that differ on a light and on a dark page.
-THEMED: Final = {
-    BLACK: (BLACK, WHITE),
-    **{PAGE[name][0]: PAGE[name] for name in ("ground", "obstacle", "outline", "ink")},
-    FAINT_INK: PAGE["faint-ink"],
-    BROWN: (BROWN, "#A68A73"),
-    PLUM: (PLUM, "#D45AAE"),
-    INDIGO: (INDIGO, "#6A4DFF"),
-}
-
 
 class SeriesStyle(NamedTuple):
     colour: str

@@ -25,13 +25,6 @@ def replay_page(episodes: Sequence[Episode], title: str | None = None) -> str:
     fields = ", ".join(dict.fromkeys(episode.field.name for episode in episodes))
     note = f"Recorded and replayed exactly by mbn_marl {__version__}."
     values = {"note": note, "episodes": episodes_data(episodes)}
-    return whole("replay.html", f"Replay: {fields}" if title is None else title, values)
-
-
-def whole(
-    body: str, title: str, values: Mapping[str, str], extra_styles: Sequence[str] = ()
-) -> str:
-    """Return a page with the player: the template ``body``, with HTML ``values`` for its names."""
     light, dark = ("".join(_variables(theme)) for theme in (0, 1))
     colours = (
         f":root {{\n{light}}}\n@media (prefers-color-scheme: dark) {{ :root {{\n{dark}}} }}\n"
@@ -40,10 +33,10 @@ def whole(
     return _fill(
         _static("page.html"),
         {
-            "title": html.escape(title),
+            "title": html.escape(f"Replay: {fields}" if title is None else title),
             "colours": str(len(style.ROBOTS)),
-            "styles": colours + "\n".join(map(_static, (*_STYLES, *extra_styles))),
-            "body": _fill(_static(body), values),
+            "styles": colours + "\n".join(map(_static, _STYLES)),
+            "body": _fill(_static("replay.html"), values),
             "scripts": "\n".join(map(_static, _SCRIPTS)),
         },
     )

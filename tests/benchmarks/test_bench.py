@@ -10,11 +10,8 @@ import pytest
 
 from benchmarks import speed
 from benchmarks.__main__ import SUBJECTS, main
-from benchmarks.conditions import POLICIES, Conditions
 from benchmarks.report import Findings, Measurement
 from benchmarks.speed import Budget, Case, Speed, interleaved
-from mbn_marl.config import Condition
-from mbn_marl.errors import ConfigError
 
 TINY = Budget(rounds=2, seconds=0.0, warm_up=3, worlds=10, many_worlds=16, startup=False)
 
@@ -59,23 +56,6 @@ def test_target_is_met() -> None:
         assert Measurement("a", value, "x", target, at_least).met is met
     never = Measurement("a", math.inf, "x", 2.0, at_least=False)
     assert never.words() == ("a", "never", "<= 2", "missed", "") and not never.to_json()["value"]
-
-
-@pytest.mark.all
-def test_conditions_are_those_of_the_zoo_and_the_classical_policies() -> None:
-    conditions: tuple[Condition, ...] = ("calm", "failing", "storm")
-    policies = (*POLICIES, "zoo:generalist-hint")
-    asked = Conditions(policies=policies, conditions=conditions, fields=("field_03",), episodes=2)
-    found = asked.measure()
-    for name, rows in found.values["evaluations"].items():
-        assert rows["calm"]["field_03"]["success_rate"] == 1.0, name
-    assert not found.values["evaluations"]["planner"]["failing"]
-    for name, mean in (("zoo-sampled", False), ("zoo:generalist-hint", True)):
-        row = found.values["evaluations"][name]["storm"]["field_03"]
-        assert (row["episodes"], row["deterministic"]) == (2, mean)
-    wrong = Conditions(policies=("greedy", "nobody", "zoo:none"), fields=("field_03",))
-    with pytest.raises(ConfigError, match=r"nobody(.|\n)*none"):
-        wrong.measure()
 
 
 def test_folder_with_every_row_is_written_once(

@@ -81,10 +81,6 @@ def test_train_records_the_run_and_evaluate_repeats_its_evaluation(
         ("fields --generate farm --metres-per-unit 2", ["metres_per_unit: "]),
         ("plan field_03 --write", ["write: "]),
         (f"plan {CATALOGUE}/field_03.yaml --wind 0.1 0 --write", ["write: "]),
-        (
-            "evaluate zoo:field_03 --field field_04 --wind-speeds 0,0.2",
-            ["json: ", "figure: "],
-        ),
         ("transfer ippo", ["settings: "]),
         ("transfer ppo --fields field_01", ["fields: "]),
         ("transfer ppo --source-steps 0", ["source_steps: "]),

@@ -84,7 +84,7 @@ evaluate greedy --field field_03 --json old --record file
 render nowhere -o old.gif
 replay broken.json -o old.html
 plan nowhere --out file
-report nowhere -o old.html
+report nowhere --comparison -o old.md
 report nowhere --paper -o old.md
 watch nowhere -o old.json
 """

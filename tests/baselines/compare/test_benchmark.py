@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import re
 import shutil
@@ -20,7 +19,6 @@ from baselines.compare.benchmark import (
     load_protocol,
     load_tiers,
     numbers,
-    result_page,
     result_tables,
     run_benchmark,
 )
@@ -171,19 +169,12 @@ def test_an_interrupted_run_goes_on_and_gives_the_same(
         ({"tiers": {"1-convex": {}}}, "1-convex: "),
         ({"versions": {"packages": {"mbn-marl": "0.0.1"}}}, "mbn-marl: "),
         ({"shield": True}, "shield: "),
-        ("stale", "1-convex: statistics"),
     ],
 )
 def test_what_is_not_to_be_resumed_is_named(
     damage: Any, place: str, tmp_path: Path, greedy: dict[str, Any]
 ) -> None:
-    record: Any = copy.deepcopy(greedy)
-    if damage == "stale":
-        record["tiers"]["1-convex"]["mean"]["steps"]["low"] = 0.5
-    elif isinstance(damage, dict):
-        record |= damage
-    else:
-        record = damage
+    record = {**greedy, **damage} if isinstance(damage, dict) else damage
     text = record if isinstance(record, str) else json.dumps(record)
     (tmp_path / "result.json").write_text(text)
     with pytest.raises(RunError, match=place):
@@ -199,7 +190,6 @@ def test_what_does_not_fit_has_no_number_and_says_why(tmp_path: Path) -> None:
     for table in result_tables(found).values():
         assert table.lines[1] == ("2-sizes", *["-"] * (len(table.headings) - 1))
         assert "2-sizes does not fit: convex-3000001: robots" in table.caption
-    assert "Does not fit" in result_page(found, tmp_path)
 
 
 def test_policies_of_your_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,14 +215,10 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal
     assert main(words) == 0
     said = capsys.readouterr().out
     assert re.search(r"1-convex +2 +100\.0%", said) and f"written to {out}" in said
-    page = (out / "page.html").read_text()
-    assert 'data-replay="episodes-1"' in page and "median: convex-3000000" in page
     assert "already exists" in refusal(words)
-    (out / "episodes" / "1-convex-median.json").unlink()
     with alone(out, "mbn benchmark"):
         assert "another mbn benchmark" in refusal([*words, "--resume"])
     assert main([*words, "--resume"]) == 0
-    assert "1-convex-median.json" in (out / "page.html").read_text()
     assert main([*words, "--force"]) == 0 and (tmp_path / "out.1" / "result.json").exists()
     wrong = refusal(["benchmark", "greedy", "--tiers", "convex", "2-size"])
     assert "convex" in wrong and "2-size" in wrong
