@@ -1,4 +1,4 @@
-"""How fast ``BatchEngine(device="cuda")`` steps, once it equals the CPU bit for bit."""
+"""The speed of ``BatchEngine(device="cuda")``, once it equals the CPU bit for bit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mbn_marl.errors import MbnError
 
 COPY_BYTES = 2**30
 TARGET_RATE, TARGET_RATIO = 2000.0, 0.5
-GRAPH_STEPS = 16  # each has random actions of its own
+GRAPH_STEPS = 16  # each with other random actions
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Gpu(Benchmark):
     most: int = 20
     """log2 of the largest batch; 20 needs about 40 GB on the device."""
     steps: int = 512
-    """How many steps are timed, after as many to bring the worlds out of step."""
+    """Timed steps, after as many that bring the worlds out of step."""
     check_steps: int = 300
-    """How many steps are compared with the CPU's."""
+    """Steps that are compared with the CPU's."""
 
     def measure(self) -> Findings:
         check_against_the_cpu(self)

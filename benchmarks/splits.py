@@ -37,13 +37,13 @@ class Splits:
     """Make the frozen fields of the tiers, with proved bounds, or verify them."""
 
     tier: tuple[str, ...] = NAMES
-    """Which tiers."""
+    """The tiers."""
     split: tuple[Split, ...] = ("validation", "test")
-    """Which splits."""
+    """The splits."""
     count: int = COUNT
-    """How many fields of each; with --verify, how many of those that there are."""
+    """Fields of each; with --verify, of those that there are."""
     seconds: float = 60.0
-    """How long the planner may take for a field."""
+    """Seconds of the planner for a field."""
     verify: bool = False
     """Recompute what is there instead: fields, plans in the engine, bounds."""
     out: Path = Path("envs_catalog/splits")

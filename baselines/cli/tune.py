@@ -23,7 +23,7 @@ class Tune:
     field: str = "field_01"
     """A name of `mbn fields`, or the path of a field file."""
     trials: int = 20
-    """How many trials end, finished or pruned; with --resume those from before count."""
+    """The number of ended trials, finished or pruned; with --resume earlier ones count."""
     steps: int = 1_000_000
     """Budget of a trial in env-steps."""
     evaluate_every: int = 50_000

@@ -262,7 +262,7 @@ def _unequal_settings(records: Sequence[RunRecord], labels: Collection[str]) -> 
     def values(names: Sequence[str]) -> Callable[[RunRecord], dict[str, Any]]:
         return lambda record: {name: record.config[name] for name in names}
 
-    # A label of its own may name a difference of the task; the budget is the same for all.
+    # A different label may name a difference of the task; the budget is the same for all.
     unnamed = [one for one in records if one.label == one.default_label]
     yield from _differences(records, "all runs", values(BUDGET))
     yield from _differences(unnamed, "all runs", task)

@@ -113,7 +113,7 @@ def _page(
             picture(f"study_{name}", f"{title} of the study")
             for name, title in (("history", "History"), ("importances", "Importances"))
         ),
-        overview=picture("fields", "The ten fields, each to a scale of its own"),
+        overview=picture("fields", "The ten fields, each to its scale"),
         commands="\n".join(trainings.runs.command),
     )
     return page if preface else page.replace("\n\n\n\n", "\n\n", 1)

@@ -79,7 +79,7 @@ class NavigationEnv(EnvBase):
         field: a catalogue name, a file, a ``Field``, or a list of them (world ``w`` gets number
             ``w`` modulo their count); or a ``FieldSampler``, which draws one for each episode.
         num_worlds: ``W``.
-        seed: of all worlds, until ``set_seed()`` gives another; each has a stream of its own.
+        seed: of all worlds, until ``set_seed()`` gives another; each has its stream.
         device: where the tensors live. On CUDA, which has to be torch's current device, the engine
             computes too (see ``BatchEngine``); for any other device it computes on the CPU.
         threads: of the engine on the CPU; ``None`` takes as many as there are cores.

@@ -30,7 +30,7 @@ TIERS: Mapping[str, Mapping[str, Any]] = {
     "3-shapes": {"families": ["concave", "corridors", "obstacles"], "robots": 3, "rois": 6},
     "4-crowds": {"families": ["convex"], "robots": [8, 16], "rois": [12, 24], "size": [230, 420]},
 }
-"""The tiers with fields of their own, and the arguments of their samplers."""
+"""The tiers that freeze fields, and the arguments of their samplers."""
 WEATHER = "5-weather"
 """Instance k is instance k of tier k mod 3 of the first three, under condition k mod 5."""
 CONDITIONS: tuple[Condition, ...] = ("windy", "gusty", "noisy", "delayed", "failing")

@@ -24,7 +24,7 @@ STIR = 0.05
 """Share of the force with which idle robots stir, since standing still costs a revisit."""
 STIRS = np.random.default_rng(0).uniform(-STIR, STIR, (4096, 2))
 BERTH = 1.05
-"""How far paths stay away from robots that are parked, in safety distances."""
+"""The distance of paths from parked robots, in safety distances."""
 NOWHERE: Floats = np.zeros((0, 2))
 
 

@@ -51,7 +51,7 @@ PATIENCE = 20
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What all robots are to do from now on, for T steps; those that have failed too."""
+    """The motions of all robots from now on, for T steps; failed ones too."""
 
     path: Floats  # (T + 1, n, 2), units
     speeds: Floats  # (T + 1, n, 2), units/step

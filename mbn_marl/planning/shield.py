@@ -35,7 +35,7 @@ TURNS = (60.0, -60.0, 120.0, -120.0)
 ESCAPES = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y])
 """Directions in which a robot leaves the way of one that has failed and does not stop."""
 MARGIN = 1e-3
-"""How far the shield keeps robots from walls, in units: more than float32 rounds a position by."""
+"""The shield's distance from walls, units: more than float32 rounds a position by."""
 
 
 @dataclass(frozen=True, eq=False)

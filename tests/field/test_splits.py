@@ -1,4 +1,4 @@
-"""Frozen fields: read from files of one's own, and those that are installed."""
+"""Frozen fields: read from a folder, and those that are installed."""
 
 from __future__ import annotations
 

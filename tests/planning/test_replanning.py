@@ -1,4 +1,4 @@
-"""What controllers foresee, and plans round robots in the way."""
+"""The foresight of controllers, and plans round robots in the way."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_a_heavy_robot_that_brakes_is_foreseen_until_it_rests() -> None:
 
 
 def test_plans_lead_round_robots_in_the_way() -> None:
-    # One stands on the straight line to the ROI; one flies across it, to be met halfway.
+    # One rests on the straight line to the ROI; one flies across it, to be met halfway.
     field = Field(SQUARE, [(280, 200)], [(120, 200)])
     problem = make_problem(field, NavigationConfig())
     straight = search(problem, 0.0)

@@ -1,4 +1,4 @@
-"""What is drawn, and where."""
+"""Pictures: their parts and places."""
 
 from __future__ import annotations
 

@@ -57,13 +57,13 @@ def begun(server: CoppeliaServer, field: Field = ORCHARD, **changes: Any) -> Cop
 
 
 def left(server: CoppeliaServer) -> tuple[list[str], int, int]:
-    """What is in the scene, and whether it is simulated."""
+    """The objects of the scene, and whether it is simulated."""
     things = [thing.alias for thing in server.things.values()]
     return things, len(server.drawings), server.state
 
 
 def sprayed(server: CoppeliaServer) -> list[bool]:
-    """Whether each weed, and then each area, has the colour of a sprayed one."""
+    """Return for each weed, then each area, whether it has the colour of a sprayed one."""
     return [
         (*(one.colour or ()), one.opacity) == tuple(map(float, SPRAYED[name].split()))
         for name in ("weed", "area")

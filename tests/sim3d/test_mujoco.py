@@ -82,7 +82,7 @@ def test_obstacle_stops_a_quadrotor() -> None:
 
 @pytest.mark.parametrize(("vehicle", "height"), [("quadrotor", 0.055), ("balancer", 0.1)])
 def test_vehicle_that_brakes_stands_where_it_stopped(vehicle: str, height: float) -> None:
-    """A quadrotor lands there. Wind does not move it, and the other one goes on."""
+    """A quadrotor lands there. Wind does not move it; the other one flies."""
     simulator = begun(vehicle, wind=(0.3, 0.2))
     drive(simulator, (1.5, 0.0), 4)
     simulator.fail(0, "brake")

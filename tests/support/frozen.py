@@ -1,4 +1,4 @@
-"""Small splits of one's own, without a planner."""
+"""Small splits, without a planner."""
 
 from __future__ import annotations
 

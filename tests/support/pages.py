@@ -27,7 +27,7 @@ EXTENDING = ROOT / "docs" / "extending.md"
 PAGES = [README, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 NEEDS = ("", "checkout", "gpu", "cluster", "simulator")
-"""What may stand in the comment before a block, ``<!-- needs: checkout -->``: the block is not for
+"""Allowed in the comment before a block, ``<!-- needs: checkout -->``: the block is not for
 everyone who has installed the package."""
 BLOCK = re.compile(r"(?:^<!-- needs: (\w+) -->\n)?^```(.*?)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 FILE_NAME = re.compile(r"# (\S+\.(?:ya?ml|py))\n")

@@ -1,4 +1,4 @@
-"""How the oracle's robots move: each dynamics of ``docs/mdp.md``, in its order of operations."""
+"""The oracle's dynamics: each of ``docs/mdp.md``, in its order of operations."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Vehicle:
         return one(velocity[0], wind[0]), one(velocity[1], wind[1])
 
     def place_of_rest(self, spot: Any, velocity: Any, heading: Any) -> tuple[float, float]:
-        """Where it stops if it brakes from now on, (x, y); infinity if it never does."""
+        """The point at which it stops if it brakes from now on, (x, y); infinity if never."""
         brake = float(self.f_max / self.mass)
         wind = (float(self.wind_x), float(self.wind_y))
         moving = tuple(map(float, velocity))
@@ -104,7 +104,7 @@ class Vehicle:
         return angle if -half <= angle < half else -half
 
     def _path(self, speed: float, brake: float, wind: float) -> float:
-        """How far it goes along a line until it stands, braking step by step; perhaps for ever."""
+        """The distance along a line until it rests, braking step by step; perhaps infinite."""
         slower, path = brake - math.copysign(wind, wind * speed), 0.0
         if speed != 0 and slower <= 0:
             return math.inf

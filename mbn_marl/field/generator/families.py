@@ -132,7 +132,7 @@ HULL_X, HULL_Y = NEXT, LENGTH
 RING, COMB = 0, 3
 """Corridors: a ring, an L, a U (2) and combs of three to five teeth."""
 BANDS = 3
-"""How many of four concave outlines are bands."""
+"""The number of bands among four concave outlines."""
 
 
 @compiled
@@ -330,7 +330,7 @@ def is_sound(scratch, f, outline, corners, family, size):
 
 
 TRIES = 96
-"""How many points are tried for an ROI or a start; what is wished shrinks from one to the next."""
+"""Points tried for an ROI or a start; the wished distance shrinks from try to try."""
 HOLE_TRIES = 20
 
 

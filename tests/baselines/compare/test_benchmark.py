@@ -1,4 +1,4 @@
-"""``mbn benchmark`` on small splits of one's own."""
+"""``mbn benchmark`` on small splits made here."""
 
 from __future__ import annotations
 
@@ -23,8 +23,11 @@ from baselines.compare.benchmark import (
     run_benchmark,
 )
 from baselines.evaluation.evaluate import Evaluation, evaluate
-from baselines.policies.load import Source
+from baselines.policies import load
+from baselines.policies.load import Source, load_trained
+from baselines.policies.policy import TrainedPolicy
 from baselines.runs.files import RunError, alone
+from baselines.runs.folder import RunFolder
 from mbn_marl import Field
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Instance, load_field, splits
@@ -118,6 +121,19 @@ def test_the_numbers_of_an_instance_worked_out_by_hand() -> None:
     assert [name for name in METRICS if known[name] is None] == [
         *("makespan", "gap", "gap_to_best_known", "gap_with_failures")
     ]
+
+
+def test_weights_are_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    loads = []
+
+    def counted(folder: RunFolder) -> TrainedPolicy:
+        loads.append(folder.path.name)
+        return load_trained(folder)
+
+    monkeypatch.setattr(load, "load_trained", counted)
+    found = run("zoo:generalist", ["1-convex", "2-sizes"], tmp_path)
+    assert sum(len(tier["instances"]) for tier in found["tiers"].values()) == 2 * COUNT
+    assert loads == ["generalist"]
 
 
 def test_each_instance_is_evaluated_with_its_own_seed(tmp_path: Path) -> None:

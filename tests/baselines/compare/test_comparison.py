@@ -232,3 +232,15 @@ def test_the_result_in_words(
     assert comparison.to_json()["verdict"] == comparison.verdict
     asked = "Centralized (ppo-joint) or decentralized (mappo) on field_03, 400 env-steps a run, "
     assert comparison.question.startswith(asked)
+
+
+def test_the_result_changes_no_library_with_the_form(tmp_path: Path) -> None:
+    makespans = {"ppo": 10, "ppo-joint": 20, "mappo": 30}
+    runs = [
+        make_run(tmp_path, recorded=recorded(True, steps), algorithm=name, seed=seed)
+        for name, steps in makespans.items()
+        for seed in (0, 1)
+    ]
+    assert "ppo-joint (centralized) is faster than mappo" in summarise(Results.of(runs)).verdict
+    apart = [run for run in runs if run.config["algorithm"] != "ppo-joint"]
+    assert "ppo (centralized) is faster than mappo" in summarise(Results.of(apart)).verdict
