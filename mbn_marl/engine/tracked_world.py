@@ -22,7 +22,7 @@ from mbn_marl.engine.mdp.failures import WORKS, fail, may_rest, move_failed, sta
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import RELEASED, WALL
 from mbn_marl.errors import ActionError, ConfigError, StepError
-from mbn_marl.jit.compile import entry_point
+from mbn_marl.jit.compile import compiled, entry_point
 from mbn_marl.jit.functions import clip, select
 
 LO, HI = np.uint64(0), np.uint64(1)
@@ -120,6 +120,12 @@ class TrackedWorld:
 def choose_velocities(arguments, actions, velocities, allowed):
     """Steps 1 and 2: write the next velocities (1, n, 2), and whether their ends are inside."""
     p, g, mem, now, _, _, to = worlds_of(arguments)
+    put_velocities(p, g, mem, now, to, actions, velocities, allowed)
+
+
+# A function by itself, since a feature is asked of arguments: their types are known in time.
+@compiled
+def put_velocities(p, g, mem, now, to, actions, velocities, allowed):
     taken = actions
     if disturbs_actions(now):
         send(p, mem, now, actions, LO, HI)

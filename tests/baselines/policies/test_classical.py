@@ -178,6 +178,6 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal
     assert found["stochastic"]["collision_rate"] == 0.0
     assert evaluate(RandomPolicy(), "field_03", {}, episodes=2).collisions == [True, True]
     engine = BatchEngine("field_03", 1, threads=1, dynamics=("unicycle", "point_mass", "bicycle"))
-    with pytest.raises(ConfigError, match="dynamics: 'bicycle', 'unicycle'"):
+    with pytest.raises(ConfigError, match=r"dynamics: \['bicycle', 'unicycle'\]"):
         Shielded(RandomPolicy()).fit(engine)
     assert "dynamics: " in refusal([*words, "--condition", "mixed"])
