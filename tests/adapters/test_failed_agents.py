@@ -73,7 +73,7 @@ def test_black_death_keeps_the_agents_and_its_limits():
         observations, rewards, terminated, truncated, _ = step_all(env, env.possible_agents)
         assert all(terminated.values()) == all(truncated.values()) == (step == 5), "now lifted"
         if step == 3:
-            assert [one.any() for one in observations.values()] == [True, False, True]
+            assert [observations[one].any() for one in env.possible_agents] == [True, False, True]
             assert rewards["robot_1"] == 0
     assert not any(observation.any() for observation in observations.values())
     varying = black_death_v3(parallel_env(FieldSampler(robots=(2, 3)), max_steps=1))
