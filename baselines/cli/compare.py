@@ -78,7 +78,8 @@ class Report(Writes):
     runs: Positional[Annotated[tuple[Path, ...], arg(metavar="RUN ...")]]
     """Run folders, or folders that hold some; with --paper also folders of earlier reports."""
     out: Output
-    """The folder to write, with paper.md or comparison.md; or NAME.md, beside its folder NAME."""
+    """The folder to write, with paper.md or comparison.md; NAME.md, beside its folder NAME; or
+    NAME.html for a comparison on one self-contained page."""
     paper: bool = False
     """The paper's experiments: its tables as Markdown, CSV and LaTeX, and its figures."""
     comparison: bool = False
@@ -89,12 +90,15 @@ class Report(Writes):
     """A Markdown file to put at the top of the page."""
 
     def run(self, command_line: str) -> None:
-        from baselines.compare.report import report_comparison
+        from baselines.compare.report import is_page, report_comparison
         from baselines.compare.tables import print_comparison
         from baselines.console import console
 
+        page = is_page(self.out)
         wrong = {
-            "kind: --paper or --comparison is needed": self.paper == self.comparison,
+            f"out: --paper writes a folder or .md, not {self.out}": page and self.paper,
+            "kind: --paper or --comparison is needed, or an out that ends in .html": not page
+            and self.paper == self.comparison,
             "study and notes: allowed with --paper": not self.paper and (self.study or self.notes),
             "RUN: at least one folder is needed": not self.runs,
         }
@@ -125,7 +129,8 @@ class Benchmark(Writes):
     tiers: tuple[str, ...] = ()
     """Some of 1-convex, 2-sizes, 3-shapes, 4-crowds, 5-weather; by default all."""
     out: OptionalOutput = None
-    """The folder to write: result.json, episodes; by default runs/benchmark-POLICY-SPLIT."""
+    """The folder to write: result.json, page.html, episodes; by default
+    runs/benchmark-POLICY-SPLIT."""
     resume: bool = False
     """Continue a benchmark that was interrupted: tiers that are done are kept."""
 
@@ -133,15 +138,17 @@ class Benchmark(Writes):
         from rich.progress import Progress
 
         from baselines.compare.benchmark import (
+            PAGE,
             load_protocol,
             load_tiers,
+            result_page,
             result_tables,
             run_benchmark,
         )
         from baselines.console import console
         from baselines.policies.load import check_known
         from baselines.policies.shielded import behind
-        from baselines.runs.files import alone, claim_folder
+        from baselines.runs.files import alone, claim_folder, write_text
 
         wrong = {"force and resume: allowed is one of them": self.force and self.resume}
         check_options("benchmark", wrong)
@@ -162,6 +169,7 @@ class Benchmark(Writes):
             except KeyboardInterrupt:
                 problem = f"{out} has the tiers that are done; continue with --resume"
                 raise KeyboardInterrupt(problem) from None
+        write_text(out / PAGE, result_page(record, out))
         for title, table in result_tables(record).items():
             table.print(f"{policy} on {self.split}: {title}")
         print(f"written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")

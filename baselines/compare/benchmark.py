@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from baselines.compare.page import episodes_html, folded_html, report_page, tables_html
 from baselines.compare.summary import interquartile_mean
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
@@ -19,16 +20,17 @@ from baselines.evaluation.intervals import mean_interval, mean_of_known
 from baselines.policies.classical import NoPlanError
 from baselines.policies.load import Source
 from baselines.policies.policy import Policy, Wrapped
-from baselines.policies.shielded import Shielded
+from baselines.policies.shielded import Shielded, behind
 from baselines.runs.files import RunError, differences, read_json, versions, write_json
 from mbn_marl.config import Checked, Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
-from mbn_marl.episode import Episode, save_episode
-from mbn_marl.errors import ConfigError, FieldError, ProblemsError, collecting
+from mbn_marl.episode import Episode, load_episode, save_episode
+from mbn_marl.errors import ConfigError, EpisodeError, FieldError, ProblemsError, collecting
 from mbn_marl.field import Instance, load_split, splits
 from mbn_marl.planning import UnsolvableError
+from mbn_marl.version import __version__
 
-RESULT, EPISODES = "result.json", "episodes"
+RESULT, PAGE, EPISODES = "result.json", "page.html", "episodes"
 CHOSEN = ("median", "worst")
 T_MAX = NavigationConfig().max_steps
 MISFITS = (ConfigError, NoPlanError, UnsolvableError)
@@ -348,3 +350,22 @@ def result_tables(record: Mapping[str, Any]) -> dict[str, TextTable]:
             [(tier, count, *cells(one, way)) for tier, count, one in lines],
         )
     return tables
+
+
+def result_page(record: Mapping[str, Any], out: Path) -> str:
+    sections = {"All tiers": tables_html(result_tables(record))}
+    sections |= {tier: _tier_parts(tier, one, out) for tier, one in record["tiers"].items()}
+    sections["Command"] = folded_html({"This benchmark": record["command"]})
+    policy = f"{record['policy']}{behind(record['shield'])} on the split {record['split']}"
+    by = f"protocol {record['protocol']}. Made by mbn_marl {__version__}."
+    return report_page("Benchmark", f"{policy}, {by}", sections)
+
+
+def _tier_parts(tier: str, found: Mapping[str, Any], out: Path) -> list[str]:
+    if found["misfit"]:
+        return folded_html({"Does not fit": found["misfit"]})
+    try:
+        episodes = [load_episode(out / EPISODES / f"{tier}-{name}.json") for name in CHOSEN]
+    except (EpisodeError, OSError) as error:  # of a tier that was done before
+        return folded_html({"Not shown": str(error)})
+    return episodes_html(tier, episodes)

@@ -1,9 +1,10 @@
-"""A table of words, as Markdown, LaTeX and a terminal show it."""
+"""A table of words, as Markdown, LaTeX, HTML and a terminal show it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 from rich import box
@@ -56,6 +57,20 @@ class TextTable:
         table = DataFrame(self.lines, columns=list(self.headings))
         text: str = table.to_latex(index=False, escape=True, **how)
         return text.replace("& -", "& $-$")  # a real minus
+
+    def html(self, title: str) -> str:
+        """Return HTML with the title above and the caption below; its style is report.css."""
+
+        def row(tag: str, cells: Sequence[str]) -> str:
+            kinds = [' class="word"'] * self.words + [""] * (len(cells) - self.words)
+            made = map(f"<{tag}{{}}>{{}}</{tag}>".format, kinds, map(escape, cells))
+            return f"<tr>{''.join(made)}</tr>"
+
+        body = row("th", self.headings) + "".join(row("td", line) for line in self.lines)
+        return (
+            f'<h3>{escape(title)}</h3><div class="table"><table>{body}</table></div>'
+            f'<p class="caption">{escape(self.caption)}</p>'
+        )
 
     def print(self, title: str = "", screen: Console | None = None) -> None:
         """Print it, by default on the standard output, with its caption below."""

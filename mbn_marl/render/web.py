@@ -25,6 +25,12 @@ def replay_page(episodes: Sequence[Episode], title: str | None = None) -> str:
     fields = ", ".join(dict.fromkeys(episode.field.name for episode in episodes))
     note = f"Recorded and replayed exactly by mbn_marl {__version__}."
     values = {"note": note, "episodes": episodes_data(episodes)}
+    title = f"Replay: {fields}" if title is None else title
+    return whole(title, _fill(_static("replay.html"), values))
+
+
+def whole(title: str, body: str, *extra_styles: str) -> str:
+    """Return a page with the player; ``body`` is HTML."""
     light, dark = ("".join(_variables(theme)) for theme in (0, 1))
     colours = (
         f":root {{\n{light}}}\n@media (prefers-color-scheme: dark) {{ :root {{\n{dark}}} }}\n"
@@ -33,10 +39,10 @@ def replay_page(episodes: Sequence[Episode], title: str | None = None) -> str:
     return _fill(
         _static("page.html"),
         {
-            "title": html.escape(f"Replay: {fields}" if title is None else title),
+            "title": html.escape(title),
             "colours": str(len(style.ROBOTS)),
-            "styles": colours + "\n".join(map(_static, _STYLES)),
-            "body": _fill(_static("replay.html"), values),
+            "styles": colours + "\n".join(map(_static, (*_STYLES, *extra_styles))),
+            "body": body,
             "scripts": "\n".join(map(_static, _SCRIPTS)),
         },
     )

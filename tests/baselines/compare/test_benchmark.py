@@ -19,6 +19,7 @@ from baselines.compare.benchmark import (
     load_protocol,
     load_tiers,
     numbers,
+    result_page,
     result_tables,
     run_benchmark,
 )
@@ -206,6 +207,7 @@ def test_what_does_not_fit_has_no_number_and_says_why(tmp_path: Path) -> None:
     for table in result_tables(found).values():
         assert table.lines[1] == ("2-sizes", *["-"] * (len(table.headings) - 1))
         assert "2-sizes does not fit: convex-3000001: robots" in table.caption
+    assert "Does not fit" in result_page(found, tmp_path)
 
 
 def test_policies_of_your_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -231,10 +233,15 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal
     assert main(words) == 0
     said = capsys.readouterr().out
     assert re.search(r"1-convex +2 +100\.0%", said) and f"written to {out}" in said
+    page = (out / "page.html").read_text()
+    for part in ('data-replay="episodes-1-convex"', "median: convex-3000000", "mean actions"):
+        assert part in page, part
     assert "already exists" in refusal(words)
+    (out / "episodes" / "1-convex-median.json").unlink()
     with alone(out, "mbn benchmark"):
         assert "another mbn benchmark" in refusal([*words, "--resume"])
     assert main([*words, "--resume"]) == 0
+    assert "1-convex-median.json" in (out / "page.html").read_text()
     assert main([*words, "--force"]) == 0 and (tmp_path / "out.1" / "result.json").exists()
     wrong = refusal(["benchmark", "greedy", "--tiers", "convex", "2-size"])
     assert "convex" in wrong and "2-size" in wrong

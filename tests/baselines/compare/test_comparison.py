@@ -194,6 +194,7 @@ def test_words_stay_in_their_cells() -> None:
     )
     shown = r"\textbackslash input\{x\}\$\textasciicircum \textasciitilde  \\"
     assert shown in table.latex("t") and r"\#\# c" in table.latex("t")
+    assert ">&lt;img src=x&gt;</td>" in table.html("t")
     table = TextTable("c", ("a_b", "x"), (("field_01", "-1.5"), ("", "2")))
     assert "a\\_b & x" in table.latex("t") and "field\\_01 & $-$1.5 \\\\\n & 2" in table.latex("t")
     signs = DataFrame({"label": ["=1+2", "+1", "-x", "@x", "plain"], "number": [-1.0, 2, 3, 4, 5]})
