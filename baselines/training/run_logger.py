@@ -11,7 +11,8 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from rich.progress import Progress, TextColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+from rich.table import Column
 from torch.utils.tensorboard import SummaryWriter
 
 from baselines.console import console
@@ -61,8 +62,11 @@ Listener = Callable[[Report], None]
 def progress_bars(runs: Iterable[str], total: int) -> Iterator[Listener]:
     # Without a terminal (in a log file) each finished run prints one line.
     screen = console()
-    columns = (*Progress.get_default_columns(), TextColumn("{task.fields[state]}"))
-    with Progress(*columns, console=screen, disable=not screen.is_terminal) as progress:
+    # The bar takes the room that the words leave, so that a narrow terminal cuts no number.
+    bar = BarColumn(None, table_column=Column(ratio=1))
+    name, state = TextColumn("{task.description}"), TextColumn("{task.fields[state]}")
+    columns, quiet = (name, bar, TaskProgressColumn(), state), not screen.is_terminal
+    with Progress(*columns, console=screen, disable=quiet, expand=True) as progress:
         tasks = {run: progress.add_task(run, False, total, state="waiting") for run in runs}
 
         def show(report: Report) -> None:
