@@ -131,9 +131,8 @@ class BatchEngine:
         self._sizes = sizes._replace(robots=n)
         self.autoreset = validation.autoreset_mode(autoreset)
         given = validation.as_starts(starts)
-        validation.check_setup(
-            source, config, n, num_worlds, threads, seed, device, given, first_world
-        )
+        keys = {"seed": seed, "first_world": first_world}
+        validation.check_setup(source, config, n, num_worlds, threads, device, given, keys)
         self.config = config = config.model_copy(update={"n_robots": n})
         self.fields = () if isinstance(source, FieldSampler) else source
         self.sampler = source if isinstance(source, FieldSampler) else None

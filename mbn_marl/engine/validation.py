@@ -41,12 +41,11 @@ def check_setup(
     n: int,
     num_worlds: int,
     threads: int | None,
-    seed: int,
     device: str,
     starts: NDArray[Any] | None,
-    first_world: int,
+    keys: Mapping[str, int],
 ) -> None:
-    problems = [*_number_problems("seed", seed), *_number_problems("first_world", first_world)]
+    problems = [one for name, key in keys.items() for one in _number_problems(name, key)]
     if device not in get_args(Device):
         problems.append(f"device: {device!r}; allowed: {', '.join(map(repr, get_args(Device)))}")
     if not (_positive(num_worlds) and num_worlds <= MOST_WORLDS):
