@@ -233,14 +233,14 @@ def verdict(results: Results) -> str:
         certain = stats.fisher_exact(table).pvalue < CERTAIN
         return f"{counts}{'' if certain else ': too few runs to tell them apart'}."
     if seeds == 1:
-        return f"{names[0]} and {names[1]} pass; with one seed no order can be told."
+        return f"{names[0]} and {names[1]} pass; with one seed the order stays open."
     shape = len(results.fields), seeds
     steps = [np.reshape([_steps(run) for run in side], shape) for side in (theirs, ours)]
     low, high = difference_interval(*steps)
     given = f"{seeds} seeds" + (f", {shape[0]} fields" if shape[0] > 1 else "")
     if low <= 0.0 <= high:
         ends = f"{low:.1f} .. {high:.1f} steps, {given}"
-        return f"{names[0]} and {names[1]} pass; no order can be told ({ends})."
+        return f"{names[0]} and {names[1]} pass; the order stays open ({ends})."
     faster, slower = names if low > 0.0 else names[::-1]
     least, most = sorted((abs(low), abs(high)))
     return f"{faster} is faster than {slower} by {least:.1f} .. {most:.1f} steps, {given}."

@@ -269,7 +269,7 @@ class Trainer:
 
     @torch.no_grad()
     def _estimate(self, rollout: TensorDictBase, repeat: int) -> None:
-        # An episode cut off by the time limit bootstraps from the value of its own last
+        # An episode cut off by the time limit bootstraps from the value of its last
         # observation, rollout["next"], never from that of the next episode's first.
         self.critic(rollout)
         self.critic(self.network.norm(rollout["next"]))
