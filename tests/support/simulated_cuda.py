@@ -284,7 +284,7 @@ def test_torchrl_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_simulator_is_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
-    with pytest.raises(ConfigError, match=r"an NVIDIA GPU.*mbn_marl\[cuda\].*CUDASIM"):
+    with pytest.raises(ConfigError, match=r"an NVIDIA GPU.*\[cuda\].*CUDASIM"):
         BatchEngine("field_03", 2, device="cuda")
 
 
