@@ -270,7 +270,7 @@ def _scale_returns(
         axis.set_major_locator(MaxNLocator(ticks + 2, steps=[1, 2, 5, 10]))
         axis.set_major_formatter(EngFormatter(sep=" "))
         return ""
-    # Policies that work lie in the linear part, from -top to top; failures in the decades below.
+    # The linear part, from -top to top, has the policies that succeed; the decades below, failures.
     linear = 1.5 * max(float(np.log10(-bottom / top)), 1.0)
     getattr(axes, f"set_{which}scale")("symlog", linthresh=top, linscale=linear)
     near = np.asarray(MaxNLocator(ticks, steps=[1, 2, 5, 10]).tick_values(-top, top))

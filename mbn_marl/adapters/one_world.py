@@ -47,7 +47,7 @@ class LazyViewer:
         return self._viewer.draw(engine.snapshot(world))
 
     def __getstate__(self) -> dict[str, Any]:
-        # A window belongs to one process: a copy opens its viewer anew.
+        # Another process cannot draw in this window, so a copy opens a new one.
         return {**self.__dict__, "_viewer": None}
 
     def close(self) -> None:

@@ -132,7 +132,7 @@ class Cautious:
     ) -> tuple[Floats, Floats, Flags, dict[int, Floats]]:
         """Learn from the last step about the wind; return the state, and who works (n,).
 
-        Last come the ways (k, 2) of all robots that have not vanished, if those that work brake.
+        The third are paths (k, 2) of all robots that have not vanished; those that can, brake.
         """
         places, speeds = np.asarray(positions, float), np.asarray(velocities, float)
         works = np.ones(self.problem.n, bool) if failed is None else ~failed

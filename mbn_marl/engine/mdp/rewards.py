@@ -110,7 +110,7 @@ def earned(p, ep, event, outcome, i, w):
 @compiled
 def with_share(p, ep, own, outcome, i, w):
     """The terms of robot i's reward ``r_i``, as ``REWARD_TERMS``, from its own terms."""
-    # Its share of the team's is that of one of n, or of the robots that work.
+    # The team's reward is shared by all n robots, or by those that have not failed.
     team = team_terms(p, p.share, outcome)
     if may_rest(ep):
         there = ep.status.shape[0] - count_status(ep, ABSENT, w)

@@ -281,6 +281,23 @@ def test_entries_that_a_policy_was_not_trained_with_are_not_shown_to_it(observes
     assert len(evaluate(Trained(observes), HOME, SHOWN, episodes=2).steps) == 2
 
 
+@pytest.mark.parametrize("observes", ["observations", "state"])
+def test_flags_of_failed_robots_are_zero_where_none_can_fail(observes: Observes) -> None:
+    turning: dict[str, Any] = {"dynamics": SHOWN["dynamics"]}
+    failing = turning | {"failures": SHOWN["failures"]}
+    engine, wanted = BatchEngine(HOME, 1, **turning), BatchEngine(HOME, 1, **failing)
+    for one in (engine, wanted):
+        one.reset()
+        one.step(np.ones((1, 2, 2)))  # robot 1 fails two steps later
+    shown, expected = (
+        one.state() if observes == "state" else one.step(np.ones((1, 2, 2)))[0]
+        for one in (engine, wanted)
+    )
+    trained = Trained(observes, **failing)
+    trained.fit(engine).act(shown, deterministic=True)
+    assert trained.seen is not None and np.array_equal(trained.seen, expected)
+
+
 def test_a_condition_replaces_weather_and_failures_but_not_the_robots() -> None:
     trained = {"wind": (0.1, 30.0), "dynamics": "unicycle", "failures": {"rate": 0.1}, "tau": 2.0}
     assert merge_settings(trained, None) == trained

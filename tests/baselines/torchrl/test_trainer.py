@@ -19,7 +19,7 @@ from baselines.torchrl import trainer
 from baselines.torchrl.config import load
 from baselines.torchrl.entities import SetActor, SetCritic, Tokens
 from baselines.torchrl.networks import Key
-from baselines.torchrl.trainer import Teacher, Trainer
+from baselines.torchrl.trainer import Teacher, Trainer, find_teacher
 from baselines.training.config import TrainConfig
 from baselines.training.train import prepare, train
 from mbn_marl.adapters.torchrl import NavigationEnv
@@ -144,6 +144,12 @@ def test_a_teacher_acts_where_the_learner_is_and_sees_the_assignment() -> None:
             after, hinted.now = hinted.step_and_maybe_reset(taken)  # type: ignore[attr-defined]
             ended |= bool(after["next", "done"].any())
     assert ended
+
+
+def test_a_teacher_sees_the_assignment_that_its_learner_sees() -> None:
+    for assignment in (True, "fresh"):
+        found = find_teacher(SOURCE, {**LEARNER, "assignment": assignment})
+        assert found[1]["assignment"] == assignment
 
 
 def test_a_learner_comes_to_act_as_its_teacher(tmp_path: Path) -> None:

@@ -7,14 +7,17 @@ import json
 from pathlib import Path
 from typing import Any
 
+import optuna
 import pytest
 import yaml
 from filelock import FileLock
+from optuna.distributions import FloatDistribution
 from optuna.samplers._tpe.sampler import _split_trials
 from optuna.trial import TrialState, create_trial
 
 from baselines.algorithms import find_algorithm
 from baselines.cli import main
+from baselines.paper import published
 from baselines.runs.files import RunError
 from baselines.sweep.processes import LocalEngine
 from baselines.training.config import DivergenceError, TrainConfig
@@ -38,6 +41,27 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("studies") / "study"
     assert main(["tune", "a2c", *TINY, "--trials", "1", "--out", str(out)]) == 0
     return out
+
+
+def test_the_paper_and_the_library_decide_what_is_tuned() -> None:
+    spaces = {name: search_space(name) for name in published.ALGORITHMS}
+    on_policy = {"gamma", "gae_lambda", "learning_rate"}
+    losses = {"vf_coef", "ent_coef", "max_grad_norm"}
+    assert {name: space.keys() for name, space in spaces.items()} == {
+        "a2c": on_policy | losses,
+        "ppo": on_policy | losses,
+        "trpo": on_policy,
+        "ars": {"learning_rate"},
+        "crossq": {"gamma", "learning_rate", "ent_coef", "buffer_size"},
+        "tqc": {"gamma", "learning_rate", "buffer_size"},
+    }
+    assert spaces["tqc"]["learning_rate"] == (1e-4, 5e-2)
+    assert spaces["tqc"]["buffer_size"] == (1000, 100_000)
+    trial = optuna.create_study().ask()
+    assert isinstance(tuning.suggest(trial, "crossq")["buffer_size"], int)
+    rate = trial.distributions["learning_rate"]
+    assert isinstance(rate, FloatDistribution) and rate.log
+    assert not getattr(trial.distributions["gamma"], "log", True)
 
 
 def test_tune_writes_what_setting_b_reads(
