@@ -1,4 +1,4 @@
-"""The proved optimum of a field, as a return."""
+"""The proved optimum of a field, in steps and as a return."""
 
 from __future__ import annotations
 
@@ -13,31 +13,30 @@ VIEW = (
 )
 
 
-def optimality_gap(return_: float, optimum: float | None) -> float | None:
-    """Return the gap of ``return_`` to ``optimum``, as a share of it; ``None`` without one."""
-    return None if optimum is None else 1.0 - return_ / optimum
-
-
-def optimal_return(field: Field, config: NavigationConfig | None = None) -> float | None:
-    """Return the best possible team return, ``m r_l + r_inf - n r_s T*``, ``None`` if not proved.
+def optimal_makespan(field: Field, config: NavigationConfig | None = None) -> int | None:
+    """Return the least number of steps of a success, ``None`` if it is not proved.
 
     It is proved for the default dynamics, the released rewards and the field's own starts and
-    team, as long as ``r_l``, the cost of the abrupt stop at a wall, exceeds that of all the steps.
-
-    ``config`` is that of the environment; ``None`` is the default one. The formula is that of
-    ``docs/mdp.md`` for a clean success, T* the planner's.
+    team. ``config`` is that of the environment; ``None`` is the default one.
     """
     config = config or DEFAULT
     comparable = config.model_copy(
         update={name: NavigationConfig.model_fields[name].default for name in VIEW}
     )
-    if field.optimal_makespan is None or comparable not in (
-        DEFAULT,
-        DEFAULT.model_copy(update={"n_robots": len(field.starts)}),
-    ):
+    team = DEFAULT.model_copy(update={"n_robots": len(field.starts)})
+    return field.optimal_makespan if comparable in (DEFAULT, team) else None
+
+
+def optimal_return(field: Field, config: NavigationConfig | None = None) -> float | None:
+    """Return the best possible team return, ``m r_l + r_inf - n r_s T*``, ``None`` if not proved.
+
+    T* is :func:`optimal_makespan`. ``r_l``, the cost of the abrupt stop at a wall, has to exceed
+    that of all the steps. The formula is that of ``docs/mdp.md`` for a clean success.
+    """
+    if (makespan := optimal_makespan(field, config)) is None:
         return None
-    reward = config.reward
-    team_charge = len(field.starts) * reward.small * field.optimal_makespan
+    reward = (config or DEFAULT).reward
+    team_charge = len(field.starts) * reward.small * makespan
     if team_charge > reward.large:
         return None
     return len(field.rois) * reward.large + reward.infinite - team_charge

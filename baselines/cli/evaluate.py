@@ -11,9 +11,9 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import OptionalOutput, Output, Subject, Writes, check_options
-from mbn_marl.optimum import optimality_gap
 
 ONE_EPISODE = "deterministic:\none episode"
+OF_GAPS = "gap: makespan over the proved optimum; SPL: optimum / makespan, failures 0"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,27 +54,20 @@ class Evaluate(Subject):
     def _evaluate(self, title: str, how: dict[str, Any], command_line: str) -> None:
         from baselines.evaluation.evaluate import evaluate_both, is_one_episode, record_evaluation
         from baselines.runs.files import claim_folder, write_json
-        from mbn_marl.config import make_config
         from mbn_marl.episode import save_episode
         from mbn_marl.files import check_free, claim_file
-        from mbn_marl.optimum import optimal_return
 
         if self.json is not None:
             check_free(self.json, force=self.force)
         if self.record is not None:
             claim_folder(self.record, force=self.force)
         results = evaluate_both(**how)
-        optimum = optimal_return(how["field"], make_config(how["settings"]))
         one = partial(is_one_episode, how["policy"], how["settings"])
         summaries = {name: result.summary() for name, result in results.items()}
-        print_evaluations(summaries.values(), title, optimum, one)
+        print_evaluations(summaries.values(), title, one)
         if self.json is not None:
-            gaps = {
-                name: optimality_gap(summary["return_mean"], optimum)
-                for name, summary in summaries.items()
-            }
             heading: dict[str, Any] = {"command": command_line, "condition": self.condition}
-            heading |= {"shield": self.shield, "optimum": optimum, "optimality_gap": gaps}
+            heading["shield"] = self.shield
             episodes = {name: result.to_json() for name, result in results.items()}
             write_json(claim_file(self.json, force=self.force), {**heading, **episodes})
         if self.record is not None:
@@ -89,27 +82,24 @@ class Evaluate(Subject):
 def print_evaluations(
     summaries: Iterable[Mapping[str, Any]],
     title: str,
-    optimum: float | None = None,
     one: Callable[..., bool] = lambda *, deterministic: False,
 ) -> None:
     """Print summaries, one a row; ``one`` says if all episodes of a row are the same."""
     from baselines.compare.text_table import TextTable, shown
 
-    caption = "" if optimum is None else f"gap: to the proved optimum, {optimum:,.0f}"
-    headings = ("actions", "episodes", "return", "min", "max", "success", "makespan", "gap")
+    headings = ("actions", "episodes", "success", "makespan", "gap", "SPL", "return")
     lines = [
         (
             "mean" if row["deterministic"] else "sampled",
             ONE_EPISODE if one(deterministic=row["deterministic"]) else str(row["episodes"]),
-            *(shown(row[f"return_{name}"]) for name in ("mean", "min", "max")),
             f"{row['success_rate']:.1%}",
             shown(row["makespan"], "{:.1f}"),
-            shown(optimality_gap(row["return_mean"], optimum), "{:.2%}"),
+            *(shown(row[name], "{:.1%}") for name in ("gap", "spl")),
+            shown(row["return_mean"]),
         )
         for row in summaries
     ]
-    columns = slice(7 if optimum is None else 8)
-    TextTable(caption, headings[columns], [line[columns] for line in lines]).print(title)
+    TextTable(OF_GAPS, headings, lines).print(title)
 
 
 @dataclass(frozen=True)

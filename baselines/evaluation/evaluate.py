@@ -1,7 +1,7 @@
 """Fresh evaluation episodes: true returns, in worlds that training never saw."""
 
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +13,8 @@ from baselines.policies.policy import Policy
 from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder
-from mbn_marl.field import Field, FieldSampler
+from mbn_marl.field import Field, FieldSampler, Instance
+from mbn_marl.optimum import optimal_makespan
 
 # Seed of the evaluation episodes, the same for every run; those of training are others.
 EVALUATION_SEED = 1_000_003
@@ -28,6 +29,10 @@ LISTS = {
 }
 
 
+# A field by name, a field, random fields, or frozen ones.
+Place = str | Field | FieldSampler | Sequence[Instance]
+
+
 @dataclass(frozen=True)
 class Evaluation:
     deterministic: bool  # whether the policy's mean action was taken, or a sampled one
@@ -38,14 +43,32 @@ class Evaluation:
     steps: list[int]  # lengths in env-steps
     rois_visited: list[int]  # at the end
     wall_hits: list[int]  # steps of any robot that pushed outside the field
+    bounds: list[int | None]  # makespans that are proved to be least, if any
     recorded: tuple[Episode, ...] = ()  # those that were asked for, whole
 
     @property
     def makespans(self) -> list[int]:
         return [steps for steps, ok in zip(self.steps, self.successes, strict=True) if ok]
 
+    @property
+    def pace(self) -> float:
+        """The mean of 1 / makespan, 0 for a failure: it orders policies of the same fields."""
+        return float(np.mean(np.array(self.successes) / self.steps))
+
+    @property
+    def paths(self) -> list[float] | None:
+        """Of each episode bound / makespan, 0 for a failure; ``None`` if a bound is missing."""
+        if None in self.bounds:
+            return None
+        ends = zip(self.bounds, self.steps, self.successes, strict=True)
+        return [bound * ok / steps for bound, steps, ok in ends if bound is not None]
+
     def summary(self) -> dict[str, Any]:
-        """Means over the episodes; ``makespan`` is the mean length of the successful ones."""
+        """Means over the episodes; ``makespan`` and ``gap`` are of the successful ones.
+
+        ``spl`` is success weighted by path length (Anderson et al., 2018), in steps.
+        """
+        paths = self.paths
         return {
             "episodes": len(self.returns),
             "deterministic": self.deterministic,
@@ -56,17 +79,20 @@ class Evaluation:
             "success_rate": float(np.mean(self.successes)),
             "collision_rate": float(np.mean(self.collisions)),
             "makespan": mean_of_known(self.makespans),
+            "gap": None if paths is None else mean_of_known(1.0 / p - 1.0 for p in paths if p),
+            "spl": None if paths is None else float(np.mean(paths)),
             "rois_visited": float(np.mean(self.rois_visited)),
             "wall_hits": float(np.mean(self.wall_hits)),
         }
 
     def to_json(self) -> dict[str, Any]:
-        return {**self.summary(), "per_episode": {name: getattr(self, name) for name in LISTS}}
+        lists = {name: getattr(self, name) for name in (*LISTS, "bounds")}
+        return {**self.summary(), "per_episode": lists}
 
 
 def evaluate(
     policy: Policy,
-    field: str | Field | FieldSampler,
+    place: Place,
     settings: Mapping[str, Any],
     *,
     episodes: int = 100,
@@ -75,9 +101,16 @@ def evaluate(
     record: Iterable[int] = (),
     source: str = "",
 ) -> Evaluation:
-    """Run fresh episodes side by side; those of the worlds in ``record`` (from 0) are recorded."""
-    # A sampler draws a field for each world.
-    engine = BatchEngine(field, episodes, seed=seed, threads=1, **settings)
+    """Run fresh episodes side by side; those of the worlds in ``record`` (from 0) are recorded.
+
+    ``episodes`` are those of each frozen field, or of all fields that a sampler draws.
+    """
+    bounds: list[int | None] = []
+    fields: Any = place
+    if isinstance(place, Sequence) and not isinstance(place, str):
+        bounds = [one.makespan_lower_bound for one in place] * episodes
+        episodes, fields = len(bounds), [one.field for one in place] * episodes
+    engine = BatchEngine(fields, episodes, seed=seed, threads=1, **settings)
     running = np.ones(episodes, dtype=bool)
     results: dict[str, np.ndarray] = {}
     with ExitStack() as stack:
@@ -94,7 +127,10 @@ def evaluate(
                 break
     lists: dict[str, Any] = {name: results[metric].tolist() for name, metric in LISTS.items()}
     recorded = tuple(recorder.episodes[0] for recorder in recorders)
-    return Evaluation(deterministic, seed, **lists, recorded=recorded)
+    if not bounds:
+        known = None if engine.sampler else optimal_makespan(engine.field_of(0), engine.config)
+        bounds = [known] * episodes
+    return Evaluation(deterministic, seed, **lists, bounds=bounds, recorded=recorded)
 
 
 def roll_out(

@@ -19,6 +19,7 @@ from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, FieldError, MbnError, collecting, unknown
 from mbn_marl.field import Field, FieldSampler, load_fields
 from mbn_marl.field.files import parse_yaml
+from mbn_marl.field.splits import TIERS
 
 # Overrides that begin with this and a point are settings of the environment.
 ENVIRONMENT = "environment"
@@ -66,6 +67,9 @@ class TrainConfig:
     # Stop before the end of the budget, at the first fresh evaluation with this mean return
     # (reward) and 99 % success, if all episodes with mean actions succeed too.
     stop_at: float | None = None
+    # For random fields: evaluate on the frozen fields of this tier of the benchmark, on the way on
+    # those of the split validation, at the end on those of test.
+    tier: str | None = None
     # Worlds stepped side by side; by default the setting's number.
     num_envs: int | None = None
     # A YAML file whose block named as the setting replaces the recorded one.
@@ -133,6 +137,8 @@ def problems_of(request: Mapping[str, Any]) -> list[str]:
     if not (label is None or (isinstance(label, str) and LABEL.fullmatch(label))):
         allowed = "letters, digits, _ . + -, the first a letter or digit"
         problems.append(f"label: {label!r}; allowed: {allowed}")
+    if request.get("tier") not in (None, *TIERS):
+        problems.append(f"tier: {unknown('tier', str(request.get('tier')), TIERS)}")
     if not isinstance(request.get("field"), str):
         problems.append(f"field: must be a name or a path (got {request.get('field')!r})")
     for name in ("environment", "hyperparameters"):

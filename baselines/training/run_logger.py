@@ -1,5 +1,6 @@
 """The log of a training: progress rows, fresh evaluations, policies, checkpoints, bars."""
 
+import shutil
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -16,21 +17,27 @@ from rich.table import Column
 from torch.utils.tensorboard import SummaryWriter
 
 from baselines.console import console
-from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate, unseen
+from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, Place, evaluate, unseen
 from baselines.evaluation.intervals import passes
+from baselines.policies.load import load_trained
 from baselines.policies.policy import TrainedPolicy
 from baselines.runs.files import read_json, reading, write_json
 from baselines.runs.folder import RunFolder, saved_at
 from baselines.training.config import Task
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import FieldSampler
+from mbn_marl.field import FieldSampler, load_split
 
 # A progress row spans at least so many env-steps, except the last one and one before a fresh
 # evaluation: some learners update every few steps.
 ROW_STEPS = 2048
 # A checkpoint is due after every fresh evaluation, and after so many seconds of slow training.
 CHECKPOINT_SECONDS = 600.0
+# The final evaluation has so many times the episodes of one on the way.
+FINAL_TIMES = 10
+# The folder of the best policy so far in a checkpoint.
+BEST = "best"
+NO_POLICY = [0.0, 0.0, 0]
 
 
 @dataclass(frozen=True)
@@ -40,9 +47,9 @@ class Report:
     finished: bool = False
     # Of training, evaluations excluded.
     steps_per_second: float = 0.0
-    # Of the last fresh evaluation, if there was one: true team return, and share of successes.
-    return_mean: float | None = None
+    # Of the last fresh evaluation, if there was one: share of successes, and their mean length.
     success_rate: float | None = None
+    makespan: float | None = None
     # Why the run failed.
     error: str | None = None
 
@@ -50,9 +57,10 @@ class Report:
         if self.error is not None:
             return "failed"
         speed = f"{self.steps_per_second:,.0f}/s"
-        if self.return_mean is None or self.success_rate is None:
+        if self.success_rate is None:
             return speed
-        return f"{speed} return {self.return_mean:,.0f} success {self.success_rate:.0%}"
+        steps = "" if self.makespan is None else f" makespan {self.makespan:.1f}"
+        return f"{speed} success {self.success_rate:.0%}{steps}"
 
 
 Listener = Callable[[Report], None]
@@ -135,7 +143,10 @@ class Recorder:
             self._seconds = self._saved_at = float(state.get("seconds", 0.0))
             self._wall_seconds = float(state.get("wall_seconds", 0.0))
             self._evaluations: list[dict[str, Any]] = list(state.get("evaluations", []))
+            # The rank of the best policy so far, and its env-steps.
+            self._best: list[float] = state.get("best", NO_POLICY)
             folder.cut_progress(int(state.get("progress_bytes", 0)))
+        self._is_best = False
         write_json(folder.path / "evaluations.json", self._evaluations)
         # A resumed run is logged to the same one, whose id is in the folder.
         self._wandb: Any = None
@@ -174,14 +185,10 @@ class Recorder:
             return
         self._write_row(env_steps)
         if evaluation_due:
-            # Without random numbers all episodes with mean actions are the same.
-            several = make_config(self._task.settings).is_random
-            several = several or isinstance(self._task.field, FieldSampler)
-            number, episodes = 1 + len(self._evaluations), config.episodes if several else 1
-            sampled, mean = self._evaluate(env_steps, policy, number, episodes)
-            self.passed = config.stop_at is not None and passes(
-                sampled.summary(), mean.summary()["success_rate"], config.stop_at
-            )
+            sampled, mean = self._evaluate_on_the_way(env_steps, policy)
+            rates = (one.summary()["success_rate"] for one in (sampled, mean))
+            good = np.mean(sampled.returns) >= (config.stop_at or 0.0)
+            self.passed = config.stop_at is not None and bool(good) and passes(*rates)
         slow = self._seconds - self._saved_at >= CHECKPOINT_SECONDS
         due = self.checkpoint_due or evaluation_due or slow
         self.checkpoint_due = due and not (last or self.passed)
@@ -198,26 +205,36 @@ class Recorder:
         self._board.flush()
         with self._folder.new_checkpoint(env_steps) as folder:
             policy.save(folder / "policy")
+            if self._is_best:
+                policy.save(folder / BEST)
+            elif self.checkpoint is not None and (self.checkpoint / BEST).exists():
+                shutil.copytree(self.checkpoint / BEST, folder / BEST)
             save(folder)
             size = {"progress_bytes": self._folder.progress_bytes}
-            state = {**self._times(env_steps), **size, "evaluations": self._evaluations}
-            write_json(folder / "recorder.json", state)
-        self.checkpoint_due = False
+            evaluated = {"evaluations": self._evaluations, "best": self._best}
+            write_json(folder / "recorder.json", {**self._times(env_steps), **size, **evaluated})
+        self.checkpoint, self.checkpoint_due, self._is_best = self._folder.checkpoint, False, False
         self._saved_at = self._seconds
         self.start()
 
     def finish(self, env_steps: int, policy: TrainedPolicy) -> None:
         if env_steps > self._last_row:
             self._write_row(env_steps)
+        if not self.passed:  # else it was just evaluated
+            self._evaluate_on_the_way(env_steps, policy)
         with self._folder.new_policy() as place:
-            policy.save(place)
-        episodes = self._task.config.episodes
-        sampled, mean = self._evaluate(env_steps, policy, 0, episodes)
+            if self._is_best or self.checkpoint is None:
+                policy.save(place)
+            else:
+                shutil.copytree(self.checkpoint / BEST, place, dirs_exist_ok=True)
+        # The best of several measurements looks better than it is: it is measured again.
+        sampled, mean = self._measure(load_trained(self._folder), FINAL_TIMES, EVALUATION_SEED)
         self._board.close()
         if self._wandb is not None:
             self._wandb.finish()
         results = {"stochastic": sampled.to_json(), "deterministic": mean.to_json()}
-        self._folder.finish({**self._times(env_steps), **results})
+        kept = {"policy_env_steps": self._best[-1]}
+        self._folder.finish({**self._times(env_steps), **kept, **results})
         self._report(env_steps, finished=True)
 
     def _write_row(self, env_steps: int) -> None:
@@ -235,27 +252,48 @@ class Recorder:
         wall = self._wall_seconds + time.perf_counter() - self._wall_started_at
         return {"env_steps": env_steps, "seconds": self._seconds, "wall_seconds": wall}
 
-    def _evaluate(
-        self, env_steps: int, policy: TrainedPolicy, number: int, mean_episodes: int
+    def _measure(
+        self, policy: TrainedPolicy, times: int, seed: int
     ) -> tuple[Evaluation, Evaluation]:
-        # The seed is that of the evaluation's ``number``, in every run the same.
-        seed, settings = EVALUATION_SEED + number, self._task.settings
-        fields = unseen(self._task.field, seed)
+        task, several = self._task, times * self._task.config.episodes
+        drawn = make_config(task.settings).is_random
+        place: Place = unseen(task.field, seed)
+        if task.config.tier is not None:
+            place = load_split("test" if times > 1 else "validation", task.config.tier)
+            several = max(1, several // len(place))
+        elif isinstance(place, FieldSampler):
+            drawn = True
+        # Without random numbers all episodes with mean actions on a field are the same.
         sampled, mean = (
-            evaluate(policy, fields, settings, episodes=n, seed=seed, deterministic=deterministic)
-            for n, deterministic in ((self._task.config.episodes, False), (mean_episodes, True))
+            evaluate(
+                policy, place, task.settings, episodes=n, seed=seed, deterministic=deterministic
+            )
+            for n, deterministic in ((several, False), (several if drawn else 1, True))
         )
+        return sampled, mean
+
+    def _evaluate_on_the_way(
+        self, env_steps: int, policy: TrainedPolicy
+    ) -> tuple[Evaluation, Evaluation]:
+        # The seed is that of the evaluation's number, in every run the same.
+        number = 1 + len(self._evaluations)
+        sampled, mean = both = self._measure(policy, 1, EVALUATION_SEED + number)
         entry = {**self._times(env_steps), **sampled.summary()}
-        for name in ("return_mean", "success_rate"):
+        for name in ("return_mean", "success_rate", "makespan", "gap", "spl"):
             entry[f"deterministic_{name}"] = mean.summary()[name]
+        # Policies that never fail come first, then the fast ones.
+        rates = entry["success_rate"], entry["deterministic_success_rate"]
+        rank = [min(rates), sampled.pace + mean.pace]
+        if rank >= self._best[:2]:
+            self._best, self._is_best = [*rank, env_steps], True
         self._evaluations.append(entry)
-        names = ("return_mean", "success_rate", "collision_rate", "rois_visited")
+        names = ("success_rate", "return_mean", "collision_rate", "rois_visited")
         self.scalars(env_steps, {f"evaluation/{name}": entry[name] for name in names})
         write_json(self._folder.path / "evaluations.json", self._evaluations)
-        return sampled, mean
+        return both
 
     def _report(self, env_steps: int, *, finished: bool = False) -> None:
         last = self._evaluations[-1] if self._evaluations else {}
         speed = env_steps / self._seconds if self._seconds else 0.0
-        results = (last.get(name) for name in ("return_mean", "success_rate"))
+        results = (last.get(name) for name in ("success_rate", "makespan"))
         self._listener(Report(self._task.config.name, env_steps, finished, speed, *results))

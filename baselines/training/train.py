@@ -109,6 +109,8 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
             raise ConfigError("training", [problem])
         # Runs with other seeds train on other fields.
         fields = fields.model_copy(update={"seed": (fields.seed + config.seed) % 2**63})
+    elif config.tier is not None:
+        raise ConfigError("training", [f"tier: {config.tier}; allowed on random fields"])
     BatchEngine(fields, 1, **settings)  # raises where field, team and settings do not fit
     task = Task(config, fields, settings)
     if config.transferred_from is not None:
