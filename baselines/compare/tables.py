@@ -73,10 +73,10 @@ def overall_tables(comparison: Comparison) -> dict[str, TextTable]:
         tables[title] = _aggregates(comparison)
     if comparison.pairs:
         known = [one["detectable"] for one in comparison.pairs if one["detectable"] is not None]
-        power = (
-            f" These runs show differences from {100 * min(known):.1f} to {100 * max(known):.1f} "
-            "points in 80 % of cases (2.8 standard errors, at 5 %)."
-        )
+        caption = OF_PAIRS
+        if known:
+            least, most = 100 * min(known), 100 * max(known)
+            caption += f" Shown in 80 % of such comparisons: {least:.1f} to {most:.1f} points."
         lines = [
             (
                 *(one["better"], one["worse"], f"{100 * one['difference']:.1f}"),
@@ -85,7 +85,6 @@ def overall_tables(comparison: Comparison) -> dict[str, TextTable]:
             for one in comparison.pairs
         ]
         headings = ("ahead", "behind", "points", "interval", "p (Holm)")
-        caption = OF_PAIRS + (power if known else "")
         tables["Differences of SPL"] = TextTable(caption, headings, lines, words=2)
     return tables
 

@@ -16,7 +16,7 @@ from baselines.compare.curves import draw_gaps
 from baselines.compare.records import Results, find_records
 from baselines.compare.report import marl_eval_data
 from baselines.compare.summary import summarise
-from baselines.compare.tables import print_comparison
+from baselines.compare.tables import overall_tables, print_comparison
 from baselines.compare.text_table import TextTable, csv_text
 from baselines.runs.files import RunError, write_json
 from mbn_marl.config import NavigationConfig
@@ -243,6 +243,8 @@ def test_the_result_in_words(
 ) -> None:
     comparison = summarise(Results.of(make_runs(tmp_path, {"ppo-joint": joint, "mappo": mappo})))
     assert words in comparison.verdict
+    caption = overall_tables(comparison)["Differences of SPL"].caption
+    assert ("80 %" in caption) == (len(joint) > 1)
     asked = "Centralized (ppo-joint) or decentralized (mappo) on field_03, 400 env-steps a run, "
     assert comparison.question.startswith(asked)
 
