@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from rich.console import Console
 
@@ -18,10 +17,10 @@ OF_FIELDS = (
     "seeds with its 95 % interval. to pass: env-steps until the first evaluation that passes; runs "
     "that never do count with their whole budget. return: with sampled actions."
 )
-OF_AGGREGATES = OF_FIELDS + (
-    " Over fields: pass with the Wilson interval; gap, mean over fields; SPL, the interquartile "
-    "mean of all runs with its stratified bootstrap interval; worst tenth: mean SPL of the lowest "
-    "tenth of the runs."
+OF_AGGREGATES = (
+    "As per field, but pass with the Wilson interval; gap, mean over fields; SPL, the "
+    "interquartile mean of all runs with its stratified bootstrap interval; worst tenth: mean SPL "
+    "of the lowest tenth of the runs."
 )
 OF_PAIRS = (
     "Difference of mean SPL over fields in points, with its interval by stratified bootstrap; p by "
@@ -33,16 +32,13 @@ HEADINGS = ("algo", "sees", "C/D", "pass", "gap", "success", "success,\nmean")
 def print_comparison(comparison: Comparison, console: Console) -> None:
     console.print(comparison.question, markup=False)
     console.print(comparison.verdict, "\n", markup=False)
-    for title, table in field_tables(comparison).items():
-        replace(table, caption="").print(title, console)
-    console.print(OF_FIELDS, "\n", markup=False)
-    for title, table in overall_tables(comparison).items():
+    for title, table in (field_tables(comparison) | overall_tables(comparison)).items():
         table.print(title, console)
         console.print()
 
 
 def field_tables(comparison: Comparison) -> dict[str, TextTable]:
-    """Return a table for each field, by title."""
+    """Return a table for each field, by title; the first one says what columns mean."""
     headings = (*HEADINGS, "SPL", "interval", "SPL,\nmean", "makespan", "return", "to pass")
     tables = {}
     for field, rows in _by_field(comparison.rows).items():
@@ -60,7 +56,7 @@ def field_tables(comparison: Comparison) -> dict[str, TextTable]:
             )
             for row in rows
         ]
-        tables[title] = TextTable(OF_FIELDS, headings, lines, words=2)
+        tables[title] = TextTable("" if tables else OF_FIELDS, headings, lines, words=2)
     return tables
 
 
