@@ -79,7 +79,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
 def test_killed_process_is_resumed(tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     words = "train ppo-shared field_03 --episodes 2 --steps 4000 --evaluate-every 500 --num-envs 2 "
-    words += "--set action_repeat=[4,1] roi_radius=20.0 episode_steps=50 model.n_steps=32 "
+    words += "--set roi_radius=20.0 episode_steps=50 model.n_steps=32 "
     arguments = [*f"{words} model.batch_size=64 --out".split()]
     assert main([*arguments, str(whole)]) == 0
     command = [*MBN, *arguments, str(killed)]
