@@ -40,7 +40,7 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
 def field_tables(comparison: Comparison) -> dict[str, TextTable]:
     """Return a table for each field, by title; the first one says what columns mean."""
     headings = (*HEADINGS, "SPL", "interval", "SPL,\nmean", "makespan", "return", "to pass")
-    tables = {}
+    tables: dict[str, TextTable] = {}
     for field, rows in _by_field(comparison.rows).items():
         steps = " or ".join(f"{steps:,}" for steps in sorted({row["env_steps"] for row in rows}))
         title = f"{field}: {steps} env-steps a run, {_counted(rows[0]['runs'], 'seed')} each"
@@ -61,7 +61,7 @@ def field_tables(comparison: Comparison) -> dict[str, TextTable]:
 
 
 def overall_tables(comparison: Comparison) -> dict[str, TextTable]:
-    tables = {}
+    tables: dict[str, TextTable] = {}
     if comparison.aggregates:
         first = comparison.aggregates[0]
         seeds = _counted(first["runs"] // first["fields"], "seed")
