@@ -17,8 +17,8 @@ from pandas import DataFrame
 from baselines import load_policy
 from baselines.compare.text_table import csv_text
 from baselines.evaluation.evaluate import evaluate
-from baselines.evaluation.intervals import RETURN_THRESHOLD
-from baselines.runs.files import read_json, write_text
+from baselines.runs.files import write_text
+from benchmarks.tables import ROW, rows_of
 from mbn_marl.field import catalogue_names
 from mbn_marl.render import figures, style
 
@@ -29,7 +29,6 @@ COLUMNS = {  # of the first figure, by label: the folder
     **{"mappo": "forms", "generalist": FIELDS, "ippo": "forms", "ppo-joint": "forms"},
     "greedy": FIELDS,
 }
-ROW = ["label", "field", "seed", "passed", "deterministic_gap"]
 TOP, FAILED = 1.0, 1.1  # larger gaps are drawn at the top, failures above it
 
 
@@ -68,21 +67,6 @@ def untrained() -> DataFrame:
             done = evaluate(policy, field, policy.settings, episodes=1, deterministic=True)
             rows.append((label, field, "", all(done.successes), done.summary()["gap"]))
     return DataFrame(rows, columns=ROW)
-
-
-def rows_of(study: Path) -> DataFrame:
-    """Read a row for each run; of a comparison without runs, the median run of each field.
-
-    160,000 - 30 T - 10,000 H is the return of T steps with H pushes at a wall. A revisit counts as
-    four steps there, so gaps of medians are upper estimates.
-    """
-    if (path := study / "runs.csv").is_file():
-        return pandas.read_csv(path)[ROW]
-    rows = DataFrame(read_json(study / "comparison.json")["rows"])
-    returns = rows[["deterministic_median", "optimum"]].astype(float)
-    cost, least = (160_000 - returns).to_numpy().T
-    gap, passed = (cost - cost % 30 * 1_000) / least - 1, cost <= 160_000 - RETURN_THRESHOLD
-    return rows.assign(seed="median", passed=passed, deterministic_gap=gap)[ROW]
 
 
 @matplotlib.rc_context(style.MATPLOTLIB)

@@ -7,15 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas
 from pandas import DataFrame
 from scipy.stats import binomtest
 
 from baselines.compare.text_table import TextTable
+from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.runs.files import read_json, read_text, write_text
-from benchmarks.strip import rows_of
+from mbn_marl.field import splits
 
-PLACE = re.compile(r"(?m)^<!-- table: (\S+) -->\n(?:\n\|.*(?:\n\|.*)*\n)?")
+PLACE = re.compile(r"(?m)^<!-- table: (\S+) -->\n(?:\n(?:\|.*\n)+)?")
 HEADINGS = ("variant", "runs pass", "95 %", "gap", "worst field", "fields failed")
+BOARD = "leaderboard"
+ROW = ["label", "field", "seed", "passed", "deterministic_gap"]
 
 
 @dataclass(frozen=True)
@@ -23,7 +27,7 @@ class Tables:
     """Write below each `<!-- table: STUDY -->` the table of that study."""
 
     folder: Path = Path("docs/results")
-    """With STUDY/runs.csv or comparison.json, and the pages."""
+    """With the pages, STUDY/runs.csv or comparison.json, and results of `mbn benchmark`."""
 
     def run(self, command: str) -> bool:
         for page in sorted(self.folder.glob("*.md")):
@@ -34,13 +38,48 @@ class Tables:
 
 
 def fill(page: Path) -> str:
-    return PLACE.sub(
-        lambda place: f"<!-- table: {place[1]} -->\n{table(page.parent / place[1])}\n",
-        read_text(page),
-    )
+    def below(place: re.Match[str]) -> str:
+        folder = page.parent / place[1]
+        if not folder.is_dir():  # not run yet
+            return place[0]
+        text = weather(folder) if folder.name == BOARD else table(folder)
+        return f"<!-- table: {place[1]} -->\n\n{text.markdown().strip()}\n"
+
+    return PLACE.sub(below, read_text(page))
 
 
-def table(study: Path) -> str:
+def weather(folder: Path) -> TextTable:
+    """Return makespan and success of each policy under each condition, by mean actions."""
+    lines = []
+    for path in folder.glob("*.json"):
+        instances = read_json(path)["tiers"][splits.WEATHER]["instances"]
+        if instances:
+            rows = DataFrame([{"condition": row["condition"], **row["mean"]} for row in instances])
+            means = rows.groupby("condition")[["makespan", "success_rate"]].mean()
+            cells = [means.loc[name] for name in splits.CONDITIONS]
+            words = [f"{cell.makespan:.1f} ({cell.success_rate:.0%})" for cell in cells]
+            words = [word.replace("nan", "-") for word in words]  # no success
+            lines.append((rows.makespan.mean(), path.stem, *words))
+    ordered = [line[1:] for line in sorted(lines)]
+    return TextTable("", ("policy", *splits.CONDITIONS), ordered)
+
+
+def rows_of(study: Path) -> DataFrame:
+    """Read a row for each run; of a comparison without runs, the median run of each field.
+
+    160,000 - 30 T - 10,000 H is the return of T steps with H pushes at a wall. A revisit counts as
+    four steps there, so gaps of medians are upper estimates.
+    """
+    if (path := study / "runs.csv").is_file():
+        return pandas.read_csv(path)[ROW]
+    rows = DataFrame(read_json(study / "comparison.json")["rows"])
+    returns = rows[["deterministic_median", "optimum"]].astype(float)
+    cost, least = (160_000 - returns).to_numpy().T
+    gap, passed = (cost - cost % 30 * 1_000) / least - 1, cost <= 160_000 - RETURN_THRESHOLD
+    return rows.assign(seed="median", passed=passed, deterministic_gap=gap)[ROW]
+
+
+def table(study: Path) -> TextTable:
     """Return a row for each variant; gaps are of the median run of a field, by mean actions."""
     rows = rows_of(study)
     gaps = rows.deterministic_gap.where(rows.passed, np.inf)
@@ -50,9 +89,9 @@ def table(study: Path) -> str:
         low, high = binomtest(passed, runs).proportion_ci(method="wilson")
         solved = cells.loc[label][np.isfinite(cells.loc[label])]
         gap = (f"{solved.mean():.0%}", f"{solved.max():.0%}") if len(solved) else ("-", "-")
-        failed = cells.loc[label].notna().sum() - len(solved)
+        failed = np.isinf(cells.loc[label]).sum()
         lines.append((label, f"{passed}/{runs}", f"{low:.0%}..{high:.0%}", *gap, f"{failed}"))
-    return TextTable("", HEADINGS, lines).markdown()
+    return TextTable("", HEADINGS, lines)
 
 
 def counts(study: Path, rows: DataFrame) -> DataFrame:
