@@ -15,6 +15,7 @@ from baselines.compare import curves
 from baselines.compare.curves import Pair, Panel
 from baselines.compare.records import ordered
 from baselines.compare.text_table import DASH
+from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published, tables
 from baselines.paper.tables import KINDS, MISSING, PAGE
 from baselines.paper.trainings import ROWS_FILE, RUNS_FILE, Trainings, find_trainings
@@ -134,7 +135,8 @@ def learning_curves(trainings: Trainings, setting: str) -> Figure | None:
             panels[field] = Panel(found, trainings.optimum(field))
     looks = ordered({name: name for name in trainings.algorithms})
     shown = {published.display_name(name): look for name, look in looks.items()}
-    return curves.learning_curves(panels, shown, "return of training episodes, moving mean")
+    subject = "return of training episodes, moving mean"
+    return curves.learning_curves(panels, shown, subject, RETURN_THRESHOLD)
 
 
 def against(trainings: Trainings, first: str, second: str) -> Figure | None:
