@@ -7,20 +7,19 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pandas
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
 from pandas import DataFrame
 
 from baselines import load_policy
+from baselines.compare.curves import strips_figure
 from baselines.compare.text_table import csv_text
 from baselines.evaluation.evaluate import evaluate
 from baselines.runs.files import write_text
 from benchmarks.tables import ROW, rows_of
 from mbn_marl.field import catalogue_names
-from mbn_marl.render import figures, style
+from mbn_marl.render import figures
 
 FIELDS = "fields"  # the folder of policies that were not trained on the field
 POLICIES = {"hint": "zoo:generalist-hint", "generalist": "zoo:generalist"}  # others by their name
@@ -29,7 +28,6 @@ COLUMNS = {  # of the first figure, by label: the folder
     **{"mappo": "forms", "generalist": FIELDS, "ippo": "forms", "ppo-joint": "forms"},
     "greedy": FIELDS,
 }
-TOP, FAILED = 1.0, 1.1  # larger gaps are drawn at the top, failures above it
 
 
 @dataclass(frozen=True)
@@ -69,21 +67,6 @@ def untrained() -> DataFrame:
     return DataFrame(rows, columns=ROW)
 
 
-@matplotlib.rc_context(style.MATPLOTLIB)
 def strip(groups: Mapping[str, DataFrame]) -> Figure:
-    """Draw a column for each group: a dot a run, a cross and a count for failures, the mean."""
-    figure = Figure(figsize=(max(0.75 * len(groups) + 0.8, 4.0), 3.0), layout="constrained")
-    axes = figure.subplots()
-    for place, rows in enumerate(groups.values()):
-        gaps = rows.deterministic_gap[rows.passed].dropna()
-        x = place + np.linspace(-0.25, 0.25, len(gaps))
-        axes.scatter(x, gaps.clip(upper=TOP), s=14, c=style.BLUE, alpha=0.6, lw=0)
-        axes.hlines(gaps.mean(), place - 0.35, place + 0.35, color=style.INK, lw=1.5)
-        if failures := len(rows) - len(gaps):
-            axes.plot(place, FAILED, "x", c=style.VERMILLION)
-            axes.annotate(f" {failures}", (place + 0.1, FAILED), va="center")
-    axes.set_xticks(range(len(groups)), groups, rotation=30 if len(groups) > 4 else 0)
-    axes.set(ylim=(-0.05, 1.18), ylabel="makespan over the optimum")
-    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.grid(True, axis="y")
-    return figure
+    gaps = {label: rows.deterministic_gap.where(rows.passed) for label, rows in groups.items()}
+    return strips_figure({label: [*some.replace({np.nan: None})] for label, some in gaps.items()})
