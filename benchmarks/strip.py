@@ -16,6 +16,8 @@ from baselines import load_policy
 from baselines.compare.curves import strips_figure
 from baselines.compare.text_table import csv_text
 from baselines.evaluation.evaluate import evaluate
+from baselines.policies.classical import CLASSICAL
+from baselines.policies.information import information
 from baselines.runs.files import write_text
 from benchmarks.tables import ROW, rows_of
 from mbn_marl.field import catalogue_names
@@ -63,7 +65,10 @@ def untrained() -> DataFrame:
         if COLUMNS[label] == FIELDS:
             policy = load_policy(POLICIES.get(label, label), field)
             done = evaluate(policy, field, policy.settings, episodes=1, deterministic=True)
-            rows.append((label, field, "", all(done.successes), done.summary()["gap"]))
+            found = done.summary()
+            sees = "state" if label in CLASSICAL else information(policy.settings)
+            won = found["success_rate"]
+            rows.append((label, sees, field, "", won == 1.0, won, found["gap"], found["spl"]))
     return DataFrame(rows, columns=ROW)
 
 

@@ -17,9 +17,11 @@ from baselines.runs.files import read_json, read_text, write_text
 from mbn_marl.field import splits
 
 PLACE = re.compile(r"(?m)^<!-- table: (\S+) -->\n(?:\n(?:\|.*\n)+)?")
-HEADINGS = ("variant", "runs pass", "95 %", "gap", "worst field", "fields failed")
 BOARD = "leaderboard"
-ROW = ["label", "field", "seed", "passed", "deterministic_gap"]
+ROW = [
+    *("label", "information", "field", "seed", "passed"),
+    *("success_rate", "deterministic_gap", "spl"),
+]
 
 
 @dataclass(frozen=True)
@@ -71,27 +73,46 @@ def rows_of(study: Path) -> DataFrame:
     four steps there, so gaps of medians are upper estimates.
     """
     if (path := study / "runs.csv").is_file():
-        return pandas.read_csv(path)[ROW]
+        return pandas.read_csv(path).reindex(columns=ROW)
     rows = DataFrame(read_json(study / "comparison.json")["rows"])
     returns = rows[["deterministic_median", "optimum"]].astype(float)
     cost, least = (160_000 - returns).to_numpy().T
     gap, passed = (cost - cost % 30 * 1_000) / least - 1, cost <= 160_000 - RETURN_THRESHOLD
-    return rows.assign(seed="median", passed=passed, deterministic_gap=gap)[ROW]
+    rows = rows.assign(seed="median", passed=passed, deterministic_gap=gap)
+    return rows.reindex(columns=ROW)
 
 
 def table(study: Path) -> TextTable:
-    """Return a row for each variant; gaps are of the median run of a field, by mean actions."""
+    """Return a row for each variant, by SPL; gaps are of the median run of a field, mean actions.
+
+    What no row knows has no column.
+    """
     rows = rows_of(study)
     gaps = rows.deterministic_gap.where(rows.passed, np.inf)
     cells = gaps.groupby([rows.label, rows.field]).median().unstack()
     lines = []
     for label, (passed, runs) in counts(study, rows).iterrows():
         low, high = binomtest(passed, runs).proportion_ci(method="wilson")
-        solved = cells.loc[label][np.isfinite(cells.loc[label])]
-        gap = (f"{solved.mean():.0%}", f"{solved.max():.0%}") if len(solved) else ("-", "-")
-        failed = np.isinf(cells.loc[label]).sum()
-        lines.append((label, f"{passed}/{runs}", f"{low:.0%}..{high:.0%}", *gap, f"{failed}"))
-    return TextTable("", HEADINGS, lines)
+        known = cells.loc[label].dropna()
+        solved = known[np.isfinite(known)]
+        own = rows[rows.label == label]
+        words = {
+            "variant": label,
+            "sees": own.information.iloc[0],
+            "runs pass": f"{passed}/{runs}",
+            "95 %": f"{low:.0%}..{high:.0%}",
+            "success": f"{own.success_rate.mean():.1%}",
+            "gap": f"{solved.mean():.0%}",
+            "worst field": f"{solved.max():.0%}",
+            "fields failed": f"{len(known) - len(solved)}",
+            "SPL": f"{own.spl.mean():.3f}",
+        }
+        lines.append(words)
+    found = DataFrame(lines).replace({"nan": None, "nan%": None}).dropna(axis="columns", how="all")
+    if "SPL" in found:
+        found = found.sort_values("SPL", ascending=False, kind="stable")
+    cells_of = found.fillna("-").astype(str).to_numpy().tolist()
+    return TextTable("", tuple(found), cells_of, words=1 + ("sees" in found))
 
 
 def counts(study: Path, rows: DataFrame) -> DataFrame:
