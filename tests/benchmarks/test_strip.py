@@ -13,8 +13,8 @@ from benchmarks.strip import COLUMNS, FIELDS, strip
 from benchmarks.tables import fill, rows_of
 from tests.support.pages import ROOT
 
-HEADING = "label,field,seed,passed,deterministic_gap\n"
-RUNS = "mappo,field_01,200,True,0.1\nmappo,field_01,201,False,\nmappo,field_01,202,True,0.3\n"
+HEADING = "label,field,seed,passed,deterministic_gap,spl\n"
+RUNS = "mappo,field_01,200,True,0.1,0.9\nmappo,field_01,201,False,,0\nmappo,field_01,202,True,0.3,0.75\n"
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def results(tmp_path: Path) -> Path:
         (tmp_path / study).mkdir()
         (tmp_path / study / "comparison.json").write_text('{"rows": []}')
         own = [name for name, place in COLUMNS.items() if place == study and name != "mappo"]
-        lines = "".join(f"{label},field_01,,True,0.5\n" for label in own)
+        lines = "".join(f"{label},field_01,,True,0.5,0.5\n" for label in own)
         (tmp_path / study / "runs.csv").write_text(HEADING + lines)
     with (tmp_path / "forms" / "runs.csv").open("a") as file:
         file.write(RUNS)
@@ -47,7 +47,9 @@ def test_table_is_written_below_its_mark_once(results: Path) -> None:
     for _ in range(2):
         assert main(["tables", "--folder", str(results)]) == 0
         text = page.read_text()
-        assert text.count("| mappo | 2/3 | 21%..94% | 30% | 30% | 0 |") == 1
+        lines = [line for line in text.splitlines() if line.startswith("|")]
+        assert lines[2] == "| mappo | 2/3 | 21%..94% | 30% | 30% | 0 | 0.550 |", "the best SPL"
+        assert len(lines) == 5
         assert text.endswith("\n\nb\n\n<!-- table: later -->\n\nc\n")
 
 
