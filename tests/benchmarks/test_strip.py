@@ -14,7 +14,9 @@ from benchmarks.tables import fill, rows_of
 from tests.support.pages import ROOT
 
 HEADING = "label,field,seed,passed,deterministic_gap,spl\n"
-RUNS = "mappo,field_01,200,True,0.1,0.9\nmappo,field_01,201,False,,0\nmappo,field_01,202,True,0.3,0.75\n"
+RUNS = "".join(
+    f"mappo,field_01,{run}\n" for run in ("200,True,0.1,0.9", "201,False,,0", "202,True,0.3,0.75")
+)
 
 
 @pytest.fixture
