@@ -18,10 +18,9 @@ from baselines.compare.text_table import TextTable
 from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
 from baselines.evaluation.intervals import mean_interval
 from baselines.policies.classical import NoPlanError
-from baselines.policies.information import information_of
 from baselines.policies.load import Source
 from baselines.policies.policy import Policy, Wrapped
-from baselines.policies.shielded import Shielded, behind
+from baselines.policies.shielded import Shielded, behind, information_of
 from baselines.runs.files import RunError, differences, read_json, versions, write_json
 from mbn_marl.config import Checked, Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
@@ -226,9 +225,9 @@ def _run_instance(
     loaded = source.make(one.field, seed=seed, condition=one.condition)
     begin = time.process_time() - began
     check_settings(loaded.settings, one.condition, protocol)
-    team, config = len(one.field.starts), make_config(loaded.settings)
-    if config.n_robots not in (None, team):
-        raise ConfigError("policy", [f"n_robots: {config.n_robots}; the field has {team}"])
+    team, fixed = len(one.field.starts), make_config(loaded.settings).n_robots
+    if fixed not in (None, team):
+        raise ConfigError("policy", [f"n_robots: {fixed}; the field has {team}"])
     policy = Shielded(loaded.policy) if shield else loaded.policy
     counts = protocol.episodes
     timed, where = Timed(policy), ([one], loaded.settings)
@@ -241,7 +240,7 @@ def _run_instance(
     row = {
         **{"field": one.field.name, "condition": one.condition},
         "makespan_lower_bound": one.makespan_lower_bound,
-        "information": information_of(policy, config),
+        "information": information_of(policy, loaded.settings, source.run),
         "mean": numbers(mean),
         "sampled": None if sampled is None else numbers(sampled),
         "times": {"decision_ms": 1e3 * timed.seconds / timed.decisions, "begin_s": begin},

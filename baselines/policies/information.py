@@ -1,20 +1,18 @@
-"""What a policy acts on, in a word that tables show."""
+"""The information that a policy acts on, as tables name it."""
 
-from baselines.policies.policy import Policy, RandomPolicy
-from baselines.policies.shielded import Shielded
-from mbn_marl.config import NavigationConfig
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from mbn_marl.config import make_config
+
+Information = Literal["all", "assignment", "own sight"]
 
 
-def information(config: NavigationConfig) -> str:
-    """Return ``"all"``, ``"assignment"`` (a planner's output) or ``"own sight"``, of robots."""
+def information(settings: Mapping[str, Any], *, centralized: bool = False) -> Information:
+    """Return ``assignment`` for a planner's hint, else whether a policy sees far or near."""
+    # A centralised policy sees the observations of all robots, and counts as seeing all.
+    config = make_config(settings)
     if config.assignment:
         return "assignment"
-    blind = config.observation in ("local", "lidar_local") or config.dropout == 1.0
-    return "own sight" if blind else "all"
-
-
-def information_of(policy: Policy, config: NavigationConfig) -> str:
-    """Return also ``"state"``, that of the environment, or ``"-"`` of a policy that ignores all."""
-    if isinstance(policy, Shielded) or policy.observes == "state":
-        return "state"
-    return "-" if isinstance(policy, RandomPolicy) else information(config)
+    near = config.observation in ("local", "lidar_local") or config.dropout == 1.0
+    return "own sight" if near and not centralized else "all"

@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both, unseen
-from baselines.policies.information import information_of
 from baselines.policies.load import CARD, load_trained
+from baselines.policies.shielded import information_of
 from baselines.runs.files import RunError, read_json, replacing_folder, write_json
 from baselines.runs.folder import RunFolder
-from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import catalogue_names, sampler_names, save_field
 
@@ -54,7 +53,7 @@ def make_card(run: RunFolder, name: str) -> dict[str, Any]:
         "seconds": trained["seconds"],
         "command": plain_command(run.command),
         "versions": read_json(run.path / "versions.json"),
-        "information": information_of(where[0], make_config(where[2])),
+        "information": information_of(where[0], where[2], run),
         **{key: evaluation.summary() for key, evaluation in evaluations.items()},
     }
 

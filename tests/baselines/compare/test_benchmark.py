@@ -26,14 +26,12 @@ from baselines.compare.benchmark import (
 )
 from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
 from baselines.policies import load
-from baselines.policies.information import information_of
 from baselines.policies.load import Source, load_trained
 from baselines.policies.policy import Policy, RandomPolicy, TrainedPolicy
-from baselines.policies.shielded import Shielded
+from baselines.policies.shielded import Shielded, information_of
 from baselines.runs.files import RunError, alone
 from baselines.runs.folder import RunFolder
 from mbn_marl import Field
-from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import splits
 from mbn_marl.planning import plan
@@ -171,13 +169,12 @@ def test_each_instance_is_evaluated_with_its_own_seed(source: str, tmp_path: Pat
         (Policy(), {}, "all"),
         (Policy(), {"observation": "entities", "assignment": "fresh"}, "assignment"),
         (Policy(), {"observation": "lidar_local"}, "own sight"),
-        (Policy(), {"dropout": 1.0}, "own sight"),
         (RandomPolicy(), {}, "-"),
         (Shielded(RandomPolicy()), {}, "state"),
     ],
 )
 def test_what_a_policy_acts_on(policy: Policy, settings: dict[str, Any], word: str) -> None:
-    assert information_of(policy, make_config(settings)) == word
+    assert information_of(policy, settings, None) == word
 
 
 def test_an_interrupted_run_goes_on_and_gives_the_same(
