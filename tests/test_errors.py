@@ -44,4 +44,4 @@ def test_known_names_can_be_set(algorithm: str) -> None:
     (problem,) = caught.value.problems
     known = problem.split("known: ")[1].split(", ")
     assert not {"source", "skipped"} & {*known} and "reward_scale" in known
-    assert ("action_repeat" in known) == (algorithm == "mappo")
+    assert ("scattered" in known) == (algorithm == "mappo")

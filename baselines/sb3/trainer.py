@@ -124,7 +124,7 @@ class ResumableARS(ARS):
 class Learner:
     def __init__(self, task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow) -> None:
         config = task.config
-        self._algorithm, self._steps, self._aids = config.algorithm, config.steps, hyperparameters
+        self._algorithm, self._aids = config.algorithm, hyperparameters
         self._worlds, env = make_env(task, hyperparameters, episodes)
         self.stride = self._worlds.stride  # the library counts a step of each row
         set_random_seed(config.seed, using_cuda=config.device == "cuda")
@@ -133,7 +133,6 @@ class Learner:
         self.model: Any = (ResumableARS if kind is ARS else kind)(
             hyperparameters.policy, env, device=config.device, **model_arguments(hyperparameters)
         )
-        self._repeat, self._gamma = 1, getattr(self.model, "gamma", 1.0)
         self._worlds.every = getattr(self.model, "n_steps", 1)
 
     @property
@@ -148,17 +147,6 @@ class Learner:
     def diagnostics(self) -> dict[str, float]:
         curriculum = self._worlds.curriculum
         return {"roi_radius": curriculum.radius} if curriculum.first > 1.0 else {}
-
-    def begin_rollout(self) -> None:
-        """Set the env-steps of the next rollout's decisions, and the discount of a decision."""
-        if self._aids.action_repeat == (1, 1):
-            return
-        self._repeat = self._aids.repeat_at(self.env_steps / self._steps)
-        self._worlds.set_attr("action_repeat", self._repeat)
-        self.model.gamma = self.model.rollout_buffer.gamma = self._gamma**self._repeat
-
-    def count_repeats(self) -> None:
-        self.model.num_timesteps += (self._repeat - 1) * self._worlds.num_envs
 
     @property
     def policy(self) -> SB3Policy:
@@ -246,10 +234,8 @@ class Reporter(BaseCallback, KVWriter):
         if self._recorder.checkpoint_due:
             learner = self._learner
             self._recorder.save_checkpoint(learner.env_steps, learner.policy, learner.save)
-        self._learner.begin_rollout()
 
     def _on_step(self) -> bool:
-        self._learner.count_repeats()
         return True
 
     def _on_training_end(self) -> None:
@@ -321,5 +307,5 @@ def budget(task: Task, hyperparameters: SB3Config) -> Budget:
         longest = rounds * make_config(task.settings).max_steps
         return Budget(steps - 1 + longest, f"updates from {episodes} whole episodes", exact=False)
     length = model["n_steps"] if issubclass(library, OnPolicyAlgorithm) else model["train_freq"]
-    rounded = hyperparameters.rounded_up(steps, length * worlds)
-    return Budget(rounded, f"rollouts of {length} steps in {worlds} worlds")
+    rollout = length * worlds
+    return Budget(-(-steps // rollout) * rollout, f"rollouts of {length} steps in {worlds} worlds")

@@ -19,7 +19,6 @@ TINY: Mapping[str, Any] = {
     "num_worlds": 4,
     "rollout_steps": 16,
     "hidden": [8],
-    "action_repeat": [1, 1],
 }
 CONFIG = CompareConfig(
     variants=tuple(

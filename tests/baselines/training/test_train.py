@@ -18,6 +18,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from baselines.algorithms import ALGORITHMS
 from baselines.cli import main
+from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate
 from baselines.policies.load import load_trained
 from baselines.runs.files import RunError, read_json
 from baselines.runs.folder import RunFolder
@@ -79,7 +80,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
 def test_killed_process_is_resumed(tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     words = "train ppo-shared field_03 --episodes 2 --steps 4000 --evaluate-every 500 --num-envs 2 "
-    words += "--set action_repeat=[4,1] roi_radius=20.0 episode_steps=50 model.n_steps=32 "
+    words += "--set roi_radius=20.0 episode_steps=50 model.n_steps=32 "
     arguments = [*f"{words} model.batch_size=64 --out".split()]
     assert main([*arguments, str(whole)]) == 0
     command = [*MBN, *arguments, str(killed)]
@@ -261,3 +262,30 @@ def test_field_of_two_robots_is_solved_to_the_optimum(algorithm: str, tmp_path: 
     assert sampled["success_rate"] == 1.0
     assert 0.99 * OPTIMUM < sampled["return_mean"] <= OPTIMUM
     assert 0.999 * OPTIMUM < mean["return_mean"] <= OPTIMUM
+
+
+@pytest.mark.parametrize("best", [1, 2, 3])
+def test_the_best_policy_on_the_way_is_kept_and_measured_again(
+    best: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: dict[int, dict[str, torch.Tensor]] = {}
+
+    def made_up(policy: Any, *place: Any, **how: Any) -> Evaluation:
+        found = evaluate(policy, *place, **how)
+        number = how["seed"] - EVALUATION_SEED
+        seen[number] = {name: one.clone() for name, one in policy.network.state_dict().items()}
+        return replace(found, successes=[number == best] * len(found.returns))
+
+    monkeypatch.setattr(recorder, "evaluate", made_up)
+    config = small_config("mappo")
+    interrupted(config, tmp_path / "run")
+    run = train(config, tmp_path / "run", resume=True)
+    final, steps = run.evaluation, [entry["env_steps"] for entry in run.evaluations]
+    assert len(steps) == 3 and final["policy_env_steps"] == steps[best - 1]
+    assert final["stochastic"]["episodes"] == 20 and final["stochastic"]["seed"] == EVALUATION_SEED
+    kept: Any = load_trained(run)
+    assert all(
+        torch.equal(one, seen[best][name]) for name, one in kept.network.state_dict().items()
+    )
+    others = (seen[number] for number in (1, 2, 3) if number != best)
+    assert not any(torch.equal(seen[best]["log_std"], one["log_std"]) for one in others)
