@@ -38,7 +38,6 @@ COLUMNS = ("spl", "success_rate", "gap", "makespan", "decision_ms")
 WHO = ("policy", "actions", "information")
 Row = tuple[str, str, dict[str, Any]]
 NO_BREAK = "\N{NO-BREAK SPACE}"
-NOBODY = "No policy has been entered yet."
 
 
 @dataclass(frozen=True)
@@ -58,16 +57,13 @@ class Leaderboard:
 def leaderboard(folder: Path) -> str:
     """Return the page; a ConfigError names results that are damaged, or not of the whole split."""
     protocol = load_protocol()
-    if not folder.is_dir():
-        raise ConfigError("leaderboard", [f"folder: {folder} is none"])
+    if not (paths := sorted(folder.glob("*.json"))):
+        raise ConfigError("leaderboard", [f"folder: {folder} has no result"])
     problems: list[str] = []
     results: dict[str, Any] = {}
-    for path in sorted(folder.glob("*.json")):
+    for path in paths:
         with collecting(problems):
             results[path.stem] = read_json(path)
-    parts = [INTRODUCTION.format(version=protocol.version)]
-    if not results and not problems:
-        return "\n".join([*parts, NOBODY, ""])
     frozen = load_tiers(SPLIT, protocol.tiers)
     problems += [
         f"{name}.json: {problem}"
@@ -77,7 +73,7 @@ def leaderboard(folder: Path) -> str:
     if problems:
         raise ConfigError(str(folder), problems)
     results = {_row_name(name, record): record for name, record in results.items()}
-    parts += [CAPTION, ""]
+    parts = [INTRODUCTION.format(version=protocol.version), CAPTION, ""]
     found = {name: summaries(record["tiers"]) for name, record in results.items()}
     for tier in (ALL, *protocol.tiers):
         table = _table(found, tier)
@@ -91,14 +87,10 @@ def leaderboard(folder: Path) -> str:
 
 def _ordered(found: Mapping[str, Mapping[str, Any]], tier: str) -> list[Row]:
     """Return name, way of acting and summary of the policies that fit a tier, the best first."""
-
-    def best(row: Row) -> tuple[float, ...]:
-        means = {name: one and one.mean for name, one in row[2][row[1]].items()}
-        return rank(means)
-
     fit = {name: tiers[tier] for name, tiers in found.items() if tier in tiers}
     rows = [(name, way, one) for name, one in fit.items() for way in WAYS if one[way]]
-    return sorted(rows, key=best, reverse=True)
+    means = [{k: value and value.mean for k, value in one[way].items()} for _, way, one in rows]
+    return [rows[k] for k in sorted(range(len(rows)), key=lambda k: rank(means[k]), reverse=True)]
 
 
 def _table(found: Mapping[str, Mapping[str, Any]], tier: str) -> TextTable:
@@ -119,10 +111,9 @@ def _by_condition(results: Mapping[str, Any], found: Mapping[str, Mapping[str, A
         rows, texts = results[name]["tiers"][splits.WEATHER]["instances"], []
         for condition in splits.CONDITIONS:
             own = [row[way] for row in rows if row["condition"] == condition]
-            success, makespan = (
-                mean_of_known(row[metric] for row in own) for metric in ("success_rate", "makespan")
-            )
-            texts.append(f"{shown(success, '{:.1%}')}, {shown(makespan, '{:.1f}')}")
+            forms = {"success_rate": "{:.1%}", "makespan": "{:.1f}"}.items()
+            both = [shown(mean_of_known(row[name] for row in own), form) for name, form in forms]
+            texts.append(", ".join(both))
         lines.append((name, way, one["information"], *texts))
     return TextTable("Success and makespan.", (*WHO, *splits.CONDITIONS), lines, words=3)
 
