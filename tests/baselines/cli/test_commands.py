@@ -46,8 +46,7 @@ def test_train_records_the_run_and_evaluate_repeats_its_evaluation(
     assert (run / "command.txt").read_text() == f"{shlex.join(['mbn', *words])}\n"
     with (run / "progress.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    # One rollout: 4 worlds, 16 decisions, each at first of four steps.
-    assert [row["env_steps"] for row in rows] == ["256"]
+    assert [row["env_steps"] for row in rows] == ["64"]  # one rollout of 16 steps in 4 worlds
     text = (run / "evaluation.json").read_text()
     final = json.loads(text)
     assert main(words) == 2
