@@ -262,9 +262,9 @@ def check_settings(settings: Mapping[str, Any], condition: Condition, protocol: 
 
 
 def numbers(found: Evaluation) -> dict[str, float | None]:
-    summary = found.summary()
     clean = [ok and not hits for ok, hits in zip(found.successes, found.wall_hits, strict=True)]
-    return {name: summary.get(name, float(np.mean(clean))) for name in METRICS}
+    known = {**found.summary(), "clean_rate": float(np.mean(clean))}
+    return {name: known[name] for name in METRICS}
 
 
 def rank(found: Mapping[str, float | None]) -> tuple[float, ...]:
