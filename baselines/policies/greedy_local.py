@@ -73,7 +73,7 @@ class GreedyLocal(Policy):
         place = self._centre + rows[:, self._own[:2]] * self._half
         speed = rows[:, self._own[2:]] * self._top
         offsets = rows[:, self._others]
-        there = offsets.any(-1)
+        there: Flags = (offsets != 0.0).any(-1)
         others = place[:, None] + offsets[..., :2] * self._arena
         left = rows[:, self._visited] < 0.5
         target = self._targets(place, others, there, left)
@@ -125,7 +125,8 @@ class GreedyLocal(Policy):
         # Without an ROI robots stir, since to rest on a visited one has a cost.
         rests = ~speed.any(1, keepdims=True)
         stir = STIRS[(self._steps + np.arange(len(place))) % len(STIRS)] * force * rests
-        return np.where(goes[:, None], offset * np.minimum(scale, 1.0), stir)
+        wanted: Floats = np.where(goes[:, None], offset * np.minimum(scale, 1.0), stir)
+        return wanted
 
     def _choose(
         self, place: Floats, speed: Floats, wanted: Floats, others: Floats, there: Flags
@@ -164,6 +165,5 @@ class GreedyLocal(Policy):
     def _inside(self, places: Floats) -> Flags:
         if self.problem.convex:
             normals, limits = self.problem.half_planes
-            inside: Flags = (places @ normals.T <= limits + 1e-6).all(1)
-            return inside
+            return np.asarray((places @ normals.T <= limits + 1e-6).all(-1), bool)
         return np.asarray(shapely.intersects_xy(self.problem.area, *places.T), bool)

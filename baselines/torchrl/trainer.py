@@ -277,13 +277,14 @@ class Trainer:
             rollout[self.reward] += self.config.shaping * self._shaped(rollout, self.tokens)
         self.estimator(rollout)
         advantage = rollout["advantage"]
-        if self.env.engine.teams_vary:  # the rows of absent robots say nothing
-            there = rollout[Key.OBSERVATION].any(-1, keepdim=True)
-            known = advantage[there]
-            rollout["advantage"] = (advantage - known.mean()) / (known.std() + 1e-8) * there
-            rollout["value_target"] *= there
-        else:
-            rollout["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        works = torch.ones_like(advantage, dtype=torch.bool)
+        if self.env.engine.may_rest and self.config.actor == "decentralized":
+            # The actions of robots that have failed, or are not in the team, have no effect.
+            works = rollout[Key.MASK].unsqueeze(-1)
+        known = advantage[works]
+        rollout["advantage"] = (advantage - known.mean()) / (known.std() + 1e-8) * works
+        if self.env.engine.teams_vary:
+            rollout["value_target"] *= rollout[Key.OBSERVATION].any(-1, keepdim=True)
 
     def _samples(self, rollout: TensorDictBase) -> TensorDictBase:
         if self.teacher is not None:

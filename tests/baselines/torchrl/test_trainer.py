@@ -89,6 +89,25 @@ def test_a_time_limit_is_bootstrapped_and_a_termination_is_not(
     assert expected.shape[-2] == (1 if algorithm == "ppo-joint" else 3)
 
 
+def test_robots_that_failed_do_not_move_the_actor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = []
+    samples = trainer.Trainer._samples
+
+    def keep(self: Any, rollout: Any) -> Any:
+        kept.append(rollout.clone())
+        return samples(self, rollout)
+
+    monkeypatch.setattr(trainer.Trainer, "_samples", keep)
+    environment = {"failures": {"at": {1: 4}, "kind": "brake"}}
+    config = TrainConfig("mappo", "field_03", steps=128, episodes=2, environment=environment)
+    train(replace(config, hyperparameters={**SMALL, "roi_radius": 1.0}), tmp_path / "run")
+    advantage, works = kept[0]["advantage"], kept[0]["robots", "mask"].unsqueeze(-1)
+    assert 0.0 < works.float().mean() < 1.0 and not advantage[~works].any()
+    assert abs(advantage[works].mean()) < 1e-5 and abs(advantage[works].std() - 1.0) < 1e-5
+
+
 SOURCE = "zoo:generalist-hint"
 LEARNER: dict[str, Any] = {"observation": "entities", "assignment": False}
 TINY = {"num_worlds": 4, "rollout_steps": 16, "hidden": [16, 16], "minibatches": 4}
