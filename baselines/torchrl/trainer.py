@@ -27,7 +27,7 @@ from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.networks import DISTRIBUTIONS, GaussianPolicy, Key, TeamShape, ValueNetwork
 from baselines.torchrl.policy import TeamPolicy
-from baselines.training.aids import RoiCurriculum, between
+from baselines.training.aids import STAGES, RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
 from mbn_marl.adapters.torchrl import NavigationEnv
@@ -201,7 +201,7 @@ class Trainer:
             threads=1,
             state=False,
             team_reward=self.config.actor == "centralized",
-            metrics=("success", "episode_return"),
+            metrics=("success", "episode_return", "rois_visited"),
             **{**self.config.in_training(self.task, self.curriculum, worlds), **changed},
         )
 
@@ -272,6 +272,14 @@ class Trainer:
         # observation, rollout["next"], never from that of the next episode's first.
         self.critic(rollout)
         self.critic(self.network.norm(rollout["next"]))
+        if late := self.config.late_visits * self.curriculum.stage / STAGES:
+            end, now = rollout["next"], rollout["metrics", "rois_visited"]
+            visited = end["metrics", "rois_visited"]
+            moved = visited * end["terminated"] - (visited - now)
+            moved = moved * (late * make_config(self.task.settings).reward.large)
+            rollout[self.reward] += moved.reshape(
+                *moved.shape[:2], *[1] * (rollout[self.reward].ndim - 2)
+            )
         rollout[self.reward] *= self.config.reward_scale
         if self.tokens is not None and self.config.shaping:
             rollout[self.reward] += self.config.shaping * self._shaped(rollout, self.tokens)

@@ -79,6 +79,9 @@ class TrainingAids(Hyperparameters):
     # until ROIs have their true size. A start beside an ROI visits it while it is large: a team
     # that always starts there would not learn to go to it.
     scattered: Share = 0.0
+    # The share of the reward of visits that is paid at the end of the episode, once ROIs have their
+    # true size; before that less. Discounting favours early visits over an early end.
+    late_visits: Share = 0.0
     # Training episodes are truncated after so many env-steps, if not before.
     episode_steps: Count | None = None
 
