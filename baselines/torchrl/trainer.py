@@ -27,7 +27,7 @@ from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.networks import DISTRIBUTIONS, GaussianPolicy, Key, TeamShape, ValueNetwork
 from baselines.torchrl.policy import TeamPolicy
-from baselines.training.aids import RoiCurriculum, between
+from baselines.training.aids import STAGES, RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
 from mbn_marl.adapters.torchrl import NavigationEnv
@@ -272,7 +272,7 @@ class Trainer:
         # observation, rollout["next"], never from that of the next episode's first.
         self.critic(rollout)
         self.critic(self.network.norm(rollout["next"]))
-        if late := self.config.late_visits:
+        if late := self.config.late_visits * self.curriculum.stage / STAGES:
             end, now = rollout["next"], rollout["metrics", "rois_visited"]
             visited = end["metrics", "rois_visited"]
             moved = visited * end["terminated"] - (visited - now)
