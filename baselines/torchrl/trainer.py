@@ -27,7 +27,7 @@ from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.networks import DISTRIBUTIONS, GaussianPolicy, Key, TeamShape, ValueNetwork
 from baselines.torchrl.policy import TeamPolicy
-from baselines.training.aids import STAGES, RoiCurriculum, between
+from baselines.training.aids import RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
 from mbn_marl.adapters.torchrl import NavigationEnv
@@ -53,6 +53,7 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
     few = (settings.n_robots or most) < 2
     wrong = {
         "scattered": (drawn, 0.0, "on random fields"),
+        "late_visits": (settings.reward_sharing != "team", 0.0, "with each robot's own reward"),
         "imitation_until": (hyperparameters.teacher is None, 0.0, "without a teacher"),
         "shaping": (not sets, 0.0, "with network mlp"),
         "sharing": (sets, "full", "with network entities"),
@@ -182,6 +183,7 @@ class Trainer:
         reward = ("team_reward",) if config.actor == "centralized" else ("robots", "reward")
         self.estimator.set_keys(value=Key.VALUE, reward=reward)
         self.reward = ("next", *reward)
+        self.reward_axes = len(reward)  # of a world's reward
         self.parameters = list(self.loss.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, eps=config.adam_epsilon, fused=True)
         if config.teacher is not None:  # the loss works them out anyway
@@ -272,14 +274,12 @@ class Trainer:
         # observation, rollout["next"], never from that of the next episode's first.
         self.critic(rollout)
         self.critic(self.network.norm(rollout["next"]))
-        if late := self.config.late_visits * self.curriculum.stage / STAGES:
-            end, now = rollout["next"], rollout["metrics", "rois_visited"]
-            visited = end["metrics", "rois_visited"]
-            moved = visited * end["terminated"] - (visited - now)
-            moved = moved * (late * make_config(self.task.settings).reward.large)
-            rollout[self.reward] += moved.reshape(
-                *moved.shape[:2], *[1] * (rollout[self.reward].ndim - 2)
-            )
+        if self.config.late_visits:
+            before, after = rollout["metrics", "rois_visited"], rollout["next"]
+            visited, ended = after["metrics", "rois_visited"], after["terminated"]
+            stage, visits = self.curriculum.stage, visited - before
+            moved = self.config.moved(self.task, stage, visits, visited, ended)
+            rollout[self.reward] += moved.reshape(moved.shape[:2] + (1,) * self.reward_axes)
         rollout[self.reward] *= self.config.reward_scale
         if self.tokens is not None and self.config.shaping:
             rollout[self.reward] += self.config.shaping * self._shaped(rollout, self.tokens)
