@@ -27,7 +27,7 @@ from baselines.runs.folder import RunFolder, saved_at
 from baselines.runs.tensors import restore_generators, save_generators
 from baselines.sb3.config import SB3Config, algorithm_class, model_arguments
 from baselines.sb3.policy import SHAPE, Normalization, SB3Policy, put_into
-from baselines.training.aids import RoiCurriculum
+from baselines.training.aids import RoiCurriculum, TrainingAids
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import ROW_STEPS, EpisodeWindow, Recorder
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPolicyVecEnv
@@ -52,9 +52,11 @@ class TrainingWorlds(VecEnvWrapper):
         make: Callable[[RoiCurriculum], NavigationVecEnv],
         curriculum: RoiCurriculum,
         episodes: EpisodeWindow,
-        scale: float = 1.0,
+        task: Task,
+        aids: TrainingAids,
     ) -> None:
-        self._make, self.curriculum, self._episodes, self._scale = make, curriculum, episodes, scale
+        self._make, self.curriculum, self._episodes = make, curriculum, episodes
+        self._task, self._aids = task, aids
         super().__init__(make(curriculum))
         # The size of ROIs may change after so many steps: the rollout of an on-policy learner.
         self.every, self._steps = 1, 0
@@ -68,8 +70,16 @@ class TrainingWorlds(VecEnvWrapper):
 
     def step_wait(self) -> VecEnvStepReturn:
         observations: Any
+        before = self._visited()
         observations, rewards, dones, infos = self.venv.step_wait()
         ended = np.flatnonzero(dones)
+        if self._aids.late_visits:
+            visited, due = self._visited(), np.zeros_like(dones)
+            for row in ended:
+                visited[row] = infos[row]["rois_visited"]
+                due[row] = not infos[row]["TimeLimit.truncated"]
+            counts = visited - before, visited, due
+            rewards = rewards + self._aids.moved(self._task, self.curriculum.stage, *counts)
         self.curriculum.add([infos[row]["is_success"] for row in ended])
         worlds = [infos[row] for row in ended if row % self.stride == 0]
         self._episodes.add(
@@ -83,7 +93,11 @@ class TrainingWorlds(VecEnvWrapper):
                 cut = {"TimeLimit.truncated": True, "terminal_observation": observations[row]}
                 infos[row].update(cut)
             observations, dones = self.begin(self.curriculum), np.ones_like(dones)
-        return observations, rewards * self._scale, dones, infos
+        return observations, rewards * self._aids.reward_scale, dones, infos
+
+    def _visited(self) -> NDArray[np.int32]:
+        count = self.venv.engine.metrics(["rois_visited"])["rois_visited"]
+        return np.repeat(count, self.stride)
 
     def begin(self, curriculum: RoiCurriculum) -> VecEnvObs:
         self.curriculum, self.venv = curriculum, self._make(curriculum)
@@ -106,7 +120,7 @@ def make_env(
         return CentralizedVecEnv(num_envs=count, joint_observation=joint, **how)
 
     curriculum = RoiCurriculum(hyperparameters.roi_radius, window=count)
-    worlds = TrainingWorlds(make, curriculum, episodes, hyperparameters.reward_scale)
+    worlds = TrainingWorlds(make, curriculum, episodes, task, hyperparameters)
     normalized = hyperparameters.normalize_observation
     return worlds, VecNormalize(worlds, norm_reward=False) if normalized else worlds
 
@@ -285,6 +299,12 @@ def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
 
 
 def check(task: Task, hyperparameters: SB3Config) -> None:
+    own = make_config(task.settings).reward_sharing != "team"
+    if own and task.config.algorithm == "ppo-shared" and hyperparameters.late_visits:
+        problem = (
+            f"late_visits: {hyperparameters.late_visits}; allowed with each robot's own reward: 0"
+        )
+        raise ConfigError("training", [problem])
     try:
         Learner(task, hyperparameters, EpisodeWindow())
     except MbnError:

@@ -53,6 +53,7 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
     few = (settings.n_robots or most) < 2
     wrong = {
         "scattered": (drawn, 0.0, "on random fields"),
+        "late_visits": (settings.reward_sharing != "team", 0.0, "with each robot's own reward"),
         "imitation_until": (hyperparameters.teacher is None, 0.0, "without a teacher"),
         "shaping": (not sets, 0.0, "with network mlp"),
         "sharing": (sets, "full", "with network entities"),
@@ -182,6 +183,7 @@ class Trainer:
         reward = ("team_reward",) if config.actor == "centralized" else ("robots", "reward")
         self.estimator.set_keys(value=Key.VALUE, reward=reward)
         self.reward = ("next", *reward)
+        self.reward_axes = len(reward)  # of a world's reward
         self.parameters = list(self.loss.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, eps=config.adam_epsilon, fused=True)
         if config.teacher is not None:  # the loss works them out anyway
@@ -201,7 +203,7 @@ class Trainer:
             threads=1,
             state=False,
             team_reward=self.config.actor == "centralized",
-            metrics=("success", "episode_return"),
+            metrics=("success", "episode_return", "rois_visited"),
             **{**self.config.in_training(self.task, self.curriculum, worlds), **changed},
         )
 
@@ -272,18 +274,25 @@ class Trainer:
         # observation, rollout["next"], never from that of the next episode's first.
         self.critic(rollout)
         self.critic(self.network.norm(rollout["next"]))
+        if self.config.late_visits:
+            before, after = rollout["metrics", "rois_visited"], rollout["next"]
+            visited, ended = after["metrics", "rois_visited"], after["terminated"]
+            stage, visits = self.curriculum.stage, visited - before
+            moved = self.config.moved(self.task, stage, visits, visited, ended)
+            rollout[self.reward] += moved.reshape(moved.shape[:2] + (1,) * self.reward_axes)
         rollout[self.reward] *= self.config.reward_scale
         if self.tokens is not None and self.config.shaping:
             rollout[self.reward] += self.config.shaping * self._shaped(rollout, self.tokens)
         self.estimator(rollout)
         advantage = rollout["advantage"]
-        if self.env.engine.teams_vary:  # the rows of absent robots say nothing
-            there = rollout[Key.OBSERVATION].any(-1, keepdim=True)
-            known = advantage[there]
-            rollout["advantage"] = (advantage - known.mean()) / (known.std() + 1e-8) * there
-            rollout["value_target"] *= there
-        else:
-            rollout["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        works = torch.ones_like(advantage, dtype=torch.bool)
+        if self.env.engine.may_rest and self.config.actor == "decentralized":
+            # The actions of robots that have failed, or are not in the team, have no effect.
+            works = rollout[Key.MASK].unsqueeze(-1)
+        known = advantage[works]
+        rollout["advantage"] = (advantage - known.mean()) / (known.std() + 1e-8) * works
+        if self.env.engine.teams_vary:
+            rollout["value_target"] *= rollout[Key.OBSERVATION].any(-1, keepdim=True)
 
     def _samples(self, rollout: TensorDictBase) -> TensorDictBase:
         if self.teacher is not None:
