@@ -34,7 +34,7 @@ def test_every_lookup_by_name_says_what_may_be_meant() -> None:
         assert place in str(caught.value)
         assert f"did you mean {meant}" in str(caught.value)
     known = str(caught.value).split("known: ")[1]
-    assert known == "steps, evaluate_every, episodes, stop_at", "only those of its level"
+    assert known == "steps, evaluate_every, episodes", "only those of its level"
 
 
 @pytest.mark.parametrize("algorithm", ["crossq", "mappo"])

@@ -3,7 +3,6 @@
 import inspect
 import math
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import asdict
 from numbers import Real
 from pathlib import Path
@@ -27,7 +26,7 @@ from baselines.runs.folder import RunFolder, saved_at
 from baselines.runs.tensors import restore_generators, save_generators
 from baselines.sb3.config import SB3Config, algorithm_class, model_arguments
 from baselines.sb3.policy import SHAPE, Normalization, SB3Policy, put_into
-from baselines.training.aids import RoiCurriculum, TrainingAids
+from baselines.training.aids import RoiCurriculum
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import ROW_STEPS, EpisodeWindow, Recorder
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPolicyVecEnv
@@ -52,11 +51,9 @@ class TrainingWorlds(VecEnvWrapper):
         make: Callable[[RoiCurriculum], NavigationVecEnv],
         curriculum: RoiCurriculum,
         episodes: EpisodeWindow,
-        task: Task,
-        aids: TrainingAids,
+        scale: float = 1.0,
     ) -> None:
-        self._make, self.curriculum, self._episodes = make, curriculum, episodes
-        self._task, self._aids = task, aids
+        self._make, self.curriculum, self._episodes, self._scale = make, curriculum, episodes, scale
         super().__init__(make(curriculum))
         # The size of ROIs may change after so many steps: the rollout of an on-policy learner.
         self.every, self._steps = 1, 0
@@ -70,16 +67,8 @@ class TrainingWorlds(VecEnvWrapper):
 
     def step_wait(self) -> VecEnvStepReturn:
         observations: Any
-        before = self._visited()
         observations, rewards, dones, infos = self.venv.step_wait()
         ended = np.flatnonzero(dones)
-        if self._aids.late_visits:
-            visited, due = self._visited(), np.zeros_like(dones)
-            for row in ended:
-                visited[row] = infos[row]["rois_visited"]
-                due[row] = not infos[row]["TimeLimit.truncated"]
-            counts = visited - before, visited, due
-            rewards = rewards + self._aids.moved(self._task, self.curriculum.stage, *counts)
         self.curriculum.add([infos[row]["is_success"] for row in ended])
         worlds = [infos[row] for row in ended if row % self.stride == 0]
         self._episodes.add(
@@ -93,11 +82,7 @@ class TrainingWorlds(VecEnvWrapper):
                 cut = {"TimeLimit.truncated": True, "terminal_observation": observations[row]}
                 infos[row].update(cut)
             observations, dones = self.begin(self.curriculum), np.ones_like(dones)
-        return observations, rewards * self._aids.reward_scale, dones, infos
-
-    def _visited(self) -> NDArray[np.int32]:
-        count = self.venv.engine.metrics(["rois_visited"])["rois_visited"]
-        return np.repeat(count, self.stride)
+        return observations, rewards * self._scale, dones, infos
 
     def begin(self, curriculum: RoiCurriculum) -> VecEnvObs:
         self.curriculum, self.venv = curriculum, self._make(curriculum)
@@ -120,7 +105,7 @@ def make_env(
         return CentralizedVecEnv(num_envs=count, joint_observation=joint, **how)
 
     curriculum = RoiCurriculum(hyperparameters.roi_radius, window=count)
-    worlds = TrainingWorlds(make, curriculum, episodes, task, hyperparameters)
+    worlds = TrainingWorlds(make, curriculum, episodes, hyperparameters.reward_scale)
     normalized = hyperparameters.normalize_observation
     return worlds, VecNormalize(worlds, norm_reward=False) if normalized else worlds
 
@@ -228,10 +213,6 @@ def _transitions(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
     return {name: array for name, array in arrays.items() if len(array) == buffer.buffer_size}
 
 
-class Passed(Exception):  # noqa: N818
-    """A fresh evaluation met the run's criterion: not every learner can be stopped otherwise."""
-
-
 class Reporter(BaseCallback, KVWriter):
     def __init__(self, recorder: Recorder, learner: Learner) -> None:
         super().__init__()
@@ -243,8 +224,6 @@ class Reporter(BaseCallback, KVWriter):
 
     def _on_rollout_start(self) -> None:
         self._report()
-        if self._recorder.passed:
-            raise Passed
         if self._recorder.checkpoint_due:
             learner = self._learner
             self._recorder.save_checkpoint(learner.env_steps, learner.policy, learner.save)
@@ -288,23 +267,16 @@ def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
     log_interval = 4  # episodes, or updates of ARS; below rollouts
     if isinstance(model, OnPolicyAlgorithm):
         log_interval = math.ceil(ROW_STEPS * stride / (model.n_steps * model.n_envs))
-    with suppress(Passed):
-        model.learn(
-            task.config.steps * stride - model.num_timesteps,
-            callback=reporter,
-            log_interval=log_interval,
-            reset_num_timesteps=recorder.checkpoint is None,
-        )
+    model.learn(
+        task.config.steps * stride - model.num_timesteps,
+        callback=reporter,
+        log_interval=log_interval,
+        reset_num_timesteps=recorder.checkpoint is None,
+    )
     recorder.finish(learner.env_steps, learner.policy)
 
 
 def check(task: Task, hyperparameters: SB3Config) -> None:
-    own = make_config(task.settings).reward_sharing != "team"
-    if own and task.config.algorithm == "ppo-shared" and hyperparameters.late_visits:
-        problem = (
-            f"late_visits: {hyperparameters.late_visits}; allowed with each robot's own reward: 0"
-        )
-        raise ConfigError("training", [problem])
     try:
         Learner(task, hyperparameters, EpisodeWindow())
     except MbnError:

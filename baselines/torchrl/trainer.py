@@ -53,7 +53,6 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
     few = (settings.n_robots or most) < 2
     wrong = {
         "scattered": (drawn, 0.0, "on random fields"),
-        "late_visits": (settings.reward_sharing != "team", 0.0, "with each robot's own reward"),
         "imitation_until": (hyperparameters.teacher is None, 0.0, "without a teacher"),
         "shaping": (not sets, 0.0, "with network mlp"),
         "sharing": (sets, "full", "with network entities"),
@@ -183,7 +182,6 @@ class Trainer:
         reward = ("team_reward",) if config.actor == "centralized" else ("robots", "reward")
         self.estimator.set_keys(value=Key.VALUE, reward=reward)
         self.reward = ("next", *reward)
-        self.reward_axes = len(reward)  # of a world's reward
         self.parameters = list(self.loss.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, eps=config.adam_epsilon, fused=True)
         if config.teacher is not None:  # the loss works them out anyway
@@ -203,7 +201,7 @@ class Trainer:
             threads=1,
             state=False,
             team_reward=self.config.actor == "centralized",
-            metrics=("success", "episode_return", "rois_visited"),
+            metrics=("success", "episode_return"),
             **{**self.config.in_training(self.task, self.curriculum, worlds), **changed},
         )
 
@@ -234,7 +232,7 @@ class Trainer:
             theirs: Any = load_trained(open_run(str(source)))
             self.network.load_state_dict(theirs.network.state_dict())
         self.recorder.start()
-        while env_steps < self.task.config.steps and not self.recorder.passed:
+        while env_steps < self.task.config.steps:
             progress = env_steps / self.task.config.steps
             for group in self.optimizer.param_groups:
                 group["lr"] = between(config.learning_rate, progress)
@@ -264,8 +262,7 @@ class Trainer:
             if self.recorder.checkpoint_due:
                 save = partial(self._save, env_steps)
                 self.recorder.save_checkpoint(env_steps, policy, save)
-        if not self.recorder.passed:  # a policy that passed stays as it is
-            self.network.amplify(config.final_gain)
+        self.network.amplify(config.final_gain)
         self.recorder.finish(env_steps, policy)
 
     @torch.no_grad()
@@ -274,12 +271,6 @@ class Trainer:
         # observation, rollout["next"], never from that of the next episode's first.
         self.critic(rollout)
         self.critic(self.network.norm(rollout["next"]))
-        if self.config.late_visits:
-            before, after = rollout["metrics", "rois_visited"], rollout["next"]
-            visited, ended = after["metrics", "rois_visited"], after["terminated"]
-            stage, visits = self.curriculum.stage, visited - before
-            moved = self.config.moved(self.task, stage, visits, visited, ended)
-            rollout[self.reward] += moved.reshape(moved.shape[:2] + (1,) * self.reward_axes)
         rollout[self.reward] *= self.config.reward_scale
         if self.tokens is not None and self.config.shaping:
             rollout[self.reward] += self.config.shaping * self._shaped(rollout, self.tokens)

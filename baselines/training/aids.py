@@ -79,19 +79,8 @@ class TrainingAids(Hyperparameters):
     # until ROIs have their true size. A start beside an ROI visits it while it is large: a team
     # that always starts there would not learn to go to it.
     scattered: Share = 0.0
-    # The share of the team's reward of visits that is paid at the end of the episode: 0 at first,
-    # this once ROIs have their true size. Discounting favours early visits over an early end.
-    late_visits: Share = 0.0
     # Training episodes are truncated after so many env-steps, if not before.
     episode_steps: Count | None = None
-
-    def moved(self, task: Task, stage: int, visits: Any, visited: Any, ended: Any) -> Any:
-        """Return the change of the team's reward (reward units) in steps with so many ``visits``.
-
-        ``visited`` counts the ROIs so far; at a time limit, which is not ``ended``, nothing is due.
-        """
-        share = self.late_visits * stage / STAGES
-        return share * make_config(task.settings).reward.large * (visited * ended - visits)
 
     def in_training(self, task: Task, curriculum: RoiCurriculum, worlds: int) -> dict[str, Any]:
         """The environment's arguments in training: ``field``, one for all worlds or one each."""

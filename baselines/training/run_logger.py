@@ -18,7 +18,6 @@ from torch.utils.tensorboard import SummaryWriter
 
 from baselines.console import console
 from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, Place, evaluate, unseen
-from baselines.evaluation.intervals import passes
 from baselines.policies.load import load_trained
 from baselines.policies.policy import TrainedPolicy
 from baselines.runs.files import read_json, reading, write_json
@@ -132,8 +131,6 @@ class Recorder:
         self.checkpoint = folder.checkpoint
         # Then the trainer should call save_checkpoint as soon as it is between two updates.
         self.checkpoint_due = False
-        # Then a fresh evaluation met the criterion for stopping: the trainer calls finish.
-        self.passed = False
         self._folder, self._task, self._listener = folder, task, listener
         self._diagnostics: Mapping[str, float] = {}
         self._started_at = self._wall_started_at = 0.0
@@ -185,13 +182,10 @@ class Recorder:
             return
         self._write_row(env_steps)
         if evaluation_due:
-            sampled, mean = self._evaluate_on_the_way(env_steps, policy)
-            rates = (one.summary()["success_rate"] for one in (sampled, mean))
-            good = np.mean(sampled.returns) >= (config.stop_at or 0.0)
-            self.passed = config.stop_at is not None and bool(good) and passes(*rates)
+            self._evaluate_on_the_way(env_steps, policy)
         slow = self._seconds - self._saved_at >= CHECKPOINT_SECONDS
         due = self.checkpoint_due or evaluation_due or slow
-        self.checkpoint_due = due and not (last or self.passed)
+        self.checkpoint_due = due and not last
         if not last:
             self._report(env_steps)
         self.start()
@@ -220,8 +214,7 @@ class Recorder:
     def finish(self, env_steps: int, policy: TrainedPolicy) -> None:
         if env_steps > self._last_row:
             self._write_row(env_steps)
-        if not self.passed:  # else it was just evaluated
-            self._evaluate_on_the_way(env_steps, policy)
+        self._evaluate_on_the_way(env_steps, policy)
         with self._folder.new_policy() as place:
             if self._is_best or self.checkpoint is None:
                 policy.save(place)
@@ -272,12 +265,10 @@ class Recorder:
         )
         return sampled, mean
 
-    def _evaluate_on_the_way(
-        self, env_steps: int, policy: TrainedPolicy
-    ) -> tuple[Evaluation, Evaluation]:
+    def _evaluate_on_the_way(self, env_steps: int, policy: TrainedPolicy) -> None:
         # The seed is that of the evaluation's number, in every run the same.
         number = 1 + len(self._evaluations)
-        sampled, mean = both = self._measure(policy, 1, EVALUATION_SEED + number)
+        sampled, mean = self._measure(policy, 1, EVALUATION_SEED + number)
         entry = {**self._times(env_steps), **sampled.summary()}
         for name in ("return_mean", "success_rate", "makespan", "gap", "spl"):
             entry[f"deterministic_{name}"] = mean.summary()[name]
@@ -290,7 +281,6 @@ class Recorder:
         names = ("success_rate", "return_mean", "collision_rate", "rois_visited")
         self.scalars(env_steps, {f"evaluation/{name}": entry[name] for name in names})
         write_json(self._folder.path / "evaluations.json", self._evaluations)
-        return both
 
     def _report(self, env_steps: int, *, finished: bool = False) -> None:
         last = self._evaluations[-1] if self._evaluations else {}

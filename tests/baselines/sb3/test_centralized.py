@@ -21,8 +21,8 @@ from baselines.runs.tensors import moments_of
 from baselines.sb3.config import TUNED_IN_PAPER, accepted_arguments, load
 from baselines.sb3.trainer import Learner, TrainingWorlds, make_env
 from baselines.training import aids, run_logger
-from baselines.training.aids import RoiCurriculum, TrainingAids
-from baselines.training.config import Task, TrainConfig
+from baselines.training.aids import RoiCurriculum
+from baselines.training.config import TrainConfig
 from baselines.training.run_logger import EpisodeWindow
 from baselines.training.train import notes, prepare, train
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPolicyVecEnv
@@ -183,7 +183,6 @@ def test_only_a_finished_policy_of_the_same_learner_is_taken_over(
     assert not out.exists()
 
 
-TASK = Task(TrainConfig("ppo", "field_03"), load_field("field_03"), {})
 WORLDS = 64
 LIVELY = {"safety_distance": 50.0, "random_starts": True, "max_steps": 10, "seed": 2, "threads": 1}
 """Settings under which some worlds have a collision while others still run."""
@@ -205,33 +204,6 @@ def config_of(name: str, **changes: Any) -> TrainConfig:
     return TrainConfig(name, "field_03", environment={"safety_distance": 0.0}, **how)
 
 
-@pytest.mark.parametrize("kind", [CentralizedVecEnv, SharedPolicyVecEnv])
-def test_visits_are_paid_at_the_end(kind: type[NavigationVecEnv]) -> None:
-    def make(curriculum: RoiCurriculum) -> NavigationVecEnv:
-        how = {**LIVELY, "roi_radius": 60.0, "reward_sharing": "team"}
-        return kind("field_03", WORLDS, **how)
-
-    plain, curriculum = make(RoiCurriculum(4.0, WORLDS)), RoiCurriculum(4.0, WORLDS, stage=5)
-    env = TrainingWorlds(make, curriculum, EpisodeWindow(), TASK, TrainingAids(late_visits=0.5))
-    env.every = 10**6
-    env.reset()
-    plain.reset()
-    change = np.zeros(env.num_envs)  # of the return so far
-    ends = {True: 0, False: 0}
-    shape = (30, env.num_envs, *env.action_space.shape)
-    for actions in np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32):
-        _, rewards, dones, infos = env.step(actions)
-        change += rewards - plain.step(actions)[1]
-        for row in np.flatnonzero(dones):
-            truncated = infos[row]["TimeLimit.truncated"]
-            # A quarter of 10 000 a visit, which is due if the episode has really ended.
-            assert change[row] == (-2500.0 * infos[row]["rois_visited"] if truncated else 0.0)
-            ends[truncated] += infos[row]["rois_visited"] > 0
-            change[row] = 0.0
-        assert (change <= 0.0).all()
-    assert min(ends.values()) > 5
-
-
 @pytest.mark.usefixtures("two_stages")
 @pytest.mark.parametrize("kind", [CentralizedVecEnv, SharedPolicyVecEnv])
 def test_change_of_size_truncates_the_episodes_that_run(kind: type[NavigationVecEnv]) -> None:
@@ -243,7 +215,7 @@ def test_change_of_size_truncates_the_episodes_that_run(kind: type[NavigationVec
 
     plain = kind("field_03", WORLDS, roi_radius=40.0, **LIVELY)
     curriculum = RoiCurriculum(4.0, window=WORLDS)
-    env = TrainingWorlds(make, curriculum, EpisodeWindow(), TASK, TrainingAids())
+    env = TrainingWorlds(make, curriculum, EpisodeWindow())
     env.every = 11
     np.testing.assert_array_equal(env.reset(), plain.reset())
     shape = (11, env.num_envs, *env.action_space.shape)
@@ -299,7 +271,7 @@ def test_policy_of_all_robots_observations_is_kept_and_evaluated(tmp_path: Path)
 
 
 def test_other_learners_refuse_aids() -> None:
-    aids = {"late_visits": 0.5, "roi_radius": 2.0, "scattered": 0.5, "episode_steps": 5}
+    aids = {"roi_radius": 2.0, "scattered": 0.5, "episode_steps": 5}
     for name in ("ars", "tqc"):
         with pytest.raises(ConfigError) as caught:
             load(name, "N", aids)

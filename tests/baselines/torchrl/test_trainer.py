@@ -20,7 +20,6 @@ from baselines.torchrl.config import load
 from baselines.torchrl.entities import SetActor, SetCritic, Tokens
 from baselines.torchrl.networks import Key
 from baselines.torchrl.trainer import Teacher, Trainer, find_teacher
-from baselines.training.aids import STAGES
 from baselines.training.config import TrainConfig
 from baselines.training.train import prepare, train
 from mbn_marl.adapters.torchrl import NavigationEnv
@@ -107,32 +106,6 @@ def test_robots_that_failed_do_not_move_the_actor(
     advantage, works = kept[0]["advantage"], kept[0]["robots", "mask"].unsqueeze(-1)
     assert 0.0 < works.float().mean() < 1.0 and not advantage[~works].any()
     assert abs(advantage[works].mean()) < 1e-5 and abs(advantage[works].std() - 1.0) < 1e-5
-
-
-@pytest.mark.parametrize("algorithm", ["mappo", "ppo-joint"])
-def test_visits_are_paid_at_the_end(
-    algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kept = []
-    estimate = trainer.Trainer._estimate
-
-    def keep(self: Any, rollout: Any) -> None:
-        self.curriculum.stage = STAGES
-        before = rollout.clone()
-        estimate(self, rollout)
-        kept.append((before[self.reward].flatten(2), rollout[self.reward].flatten(2), before))
-
-    monkeypatch.setattr(trainer.Trainer, "_estimate", keep)
-    aids = {**SMALL, "num_worlds": 64, "late_visits": 1.0, "reward_scale": 1.0, "episode_steps": 20}
-    environment = {"roi_radius": 20.0, "random_starts": True, "safety_distance": 30.0}
-    config = TrainConfig(algorithm, "field_03", steps=2048, episodes=2, environment=environment)
-    train(replace(config, hyperparameters=aids), tmp_path / "run")
-    true, learned, rollout = kept[0]
-    visited = rollout["next", "metrics", "rois_visited"]
-    ended, truncated = rollout["next", "terminated"], rollout["next", "truncated"]
-    visits, due = visited - rollout["metrics", "rois_visited"], visited * ended
-    assert visits.max() > 0 and due.max() > 0 and (visited * (truncated & ~ended)).max() > 0
-    assert torch.equal(learned - true, ((due - visits) * 10_000.0).expand_as(true))
 
 
 SOURCE = "zoo:generalist-hint"

@@ -19,6 +19,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from baselines.algorithms import ALGORITHMS
 from baselines.cli import main
 from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate
+from baselines.evaluation.intervals import passes
 from baselines.policies.load import load_trained
 from baselines.runs.files import RunError, read_json
 from baselines.runs.folder import RunFolder
@@ -229,17 +230,16 @@ def train_on(field: Field, algorithm: str, out: Path, **how: Any) -> RunFolder:
     return train(TrainConfig(algorithm, str(out / "field.yaml"), **how), out / "run")
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "ars", "tqc", "mappo", "ppo-joint", "ppo-shared"])
-def test_easy_field_is_solved_and_then_the_run_stops(algorithm: str, tmp_path: Path) -> None:
-    how: dict[str, Any] = {"stop_at": 100_000.0, "environment": {"max_steps": 100}}
-    how |= {"steps": 200_000, "episodes": 20}
-    how["evaluate_every"] = 1024 if algorithm == "tqc" else 16_384
-    run = train_on(EASY, algorithm, tmp_path / "easy", **how)
-    *earlier, passed, final = run.evaluations
-    assert passed["env_steps"] == final["env_steps"] < 200_000
-    assert passed["return_mean"] >= 100_000.0 and passed["success_rate"] >= 0.99
-    assert passed["deterministic_return_mean"] == final["deterministic_return_mean"]
-    assert all(entry["success_rate"] < 0.99 for entry in earlier[:1])
+@pytest.mark.parametrize(
+    ("algorithm", "steps"),
+    [("ppo", 32_768), ("ars", 32_768), ("tqc", 4096), ("mappo", 32_768), ("ppo-shared", 32_768)],
+)
+def test_easy_field_is_solved(algorithm: str, steps: int, tmp_path: Path) -> None:
+    how: dict[str, Any] = {"steps": steps, "episodes": 20, "environment": {"max_steps": 100}}
+    run = train_on(EASY, algorithm, tmp_path / "easy", evaluate_every=steps // 4, **how)
+    assert run.evaluations[0]["success_rate"] < 0.99
+    final = run.evaluation
+    assert passes(*(final[kind]["success_rate"] for kind in ("stochastic", "deterministic")))
     assert run.finished and not (run.path / "checkpoints").exists()
     single_mdp = "A" in ALGORITHMS[algorithm].settings
     assert load_trained(run).observes == ("state" if single_mdp else "observations")
