@@ -180,7 +180,7 @@ class Learner:
         }
         write_json(folder / COUNTERS, counters)
 
-    def restore(self, checkpoint: Path) -> None:
+    def restore(self, checkpoint: Path, began: int) -> None:
         model, counters = self.model, read_json(checkpoint / COUNTERS)
         model._setup_learn(0)  # makes what is filled here
         self.begin_with(checkpoint / "policy")
@@ -201,7 +201,7 @@ class Learner:
                 raise ValueError(f"{REPLAY}: pos {buffer.pos}; allowed: below buffer_size")
         for name in COUNTED:
             setattr(model, name, int(counters[name]))
-        saved_at(checkpoint, self.env_steps)
+        saved_at(checkpoint, began + self.env_steps)
         for name in LOGGED:
             getattr(model, name).extend(counters[name])
         model.action_space.np_random.bit_generator.state = counters["actions"]
@@ -248,7 +248,7 @@ class Reporter(BaseCallback, KVWriter):
             for name, value in key_values.items()
             if "tensorboard" not in key_excluded[name] and isinstance(value, Real)
         }
-        self._recorder.scalars(step // self._learner.stride, values)
+        self._recorder.scalars(self._recorder.began + step // self._learner.stride, values)
 
     def close(self) -> None:
         pass  # the recorder does
@@ -259,7 +259,7 @@ def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
     model, stride = learner.model, learner.stride
     if recorder.checkpoint is not None:
         with reading(recorder.checkpoint):
-            learner.restore(recorder.checkpoint)
+            learner.restore(recorder.checkpoint, recorder.began)
     elif task.config.transferred_from is not None:
         learner.begin_with(RunFolder.open(task.config.transferred_from).policy)
     reporter = Reporter(recorder, learner)

@@ -359,4 +359,5 @@ class Trainer:
                 self.teacher.load_state(read_arrays(folder / TEACHER_WORLDS))
             # Last, since a new collector tries the policy.
             tensors.restore_generators(counters["generators"])
-            return saved_at(folder, counters["env_steps"])
+            began = self.recorder.began
+            return saved_at(folder, began + counters["env_steps"]) - began

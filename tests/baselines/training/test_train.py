@@ -26,7 +26,7 @@ from baselines.runs.folder import RunFolder
 from baselines.training import run_logger as recorder
 from baselines.training.config import TrainConfig
 from baselines.training.run_logger import Report
-from baselines.training.train import prepare, train
+from baselines.training.train import notes, prepare, train
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 from tests.support.runs import STAGES, TinyRuns, interrupted, recorded, same_policies, small_config
@@ -262,6 +262,32 @@ def test_field_of_two_robots_is_solved_to_the_optimum(algorithm: str, tmp_path: 
     assert sampled["success_rate"] == 1.0
     assert 0.99 * OPTIMUM < sampled["return_mean"] <= OPTIMUM
     assert 0.999 * OPTIMUM < mean["return_mean"] <= OPTIMUM
+
+
+@pytest.mark.parametrize("name", ["trpo", "mappo"])
+def test_a_run_of_two_learners_resumes_in_the_second(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder, "ROW_STEPS", 1)
+    config = small_config(name)
+    config = replace(config, hyperparameters={**config.hyperparameters, "learners": 2})
+    whole = train(config, tmp_path / "whole")
+    steps = [int(entry["env_steps"]) for entry in whole.evaluations]
+    half, taken = steps[1], whole.evaluation["env_steps"]
+    assert taken == steps[-1] == 2 * half and steps == sorted(set(steps))
+
+    def interrupt(report: Report) -> None:
+        saved = RunFolder.open(tmp_path / "run").checkpoint
+        if saved is not None and int(saved.name) > half:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        train(config, tmp_path / "run", listener=interrupt)
+    assert_equal(train(config, tmp_path / "run", resume=True), whole)
+    radii = [float(row["roi_radius"]) for row in recorded(whole)["rows"]]
+    first = len(radii) // 2
+    assert radii[first] == radii[0] > 1.0  # the second begins anew
+    assert notes(config)[-1].endswith(f"takes {taken:,} env-steps, not 400")
 
 
 @pytest.mark.parametrize("best", [1, 2, 3])
