@@ -21,6 +21,8 @@ from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, MbnError, collecting
 from mbn_marl.field import Field, FieldSampler, load_fields
 
+# Learners share a budget as long as each has so many env-steps.
+LEAST_STEPS = 655_360
 # The hyperparameters that decide which networks there are.
 NETWORK = ("actor", "network", "hidden", "sharing")
 
@@ -58,8 +60,8 @@ def train(
         if not run.finished:
             try:
                 recorder = Recorder(run, task, listener, wandb)
-                for number in range(recorder.learner, hyperparameters.learners):
-                    recorder.begin(part := part_of(task, hyperparameters, number))
+                for part in parts_of(task, hyperparameters)[recorder.learner :]:
+                    recorder.begin(part)
                     algorithm.train(part, hyperparameters, recorder)
                 recorder.conclude()
             except ValueError as error:
@@ -81,8 +83,9 @@ def notes(config: TrainConfig) -> list[str]:
         f"skipped: {argument} = {value}, since {name} has no such argument"
         for argument, value in hyperparameters.skipped.items()
     ]
-    budget = find_algorithm(name).budget(part_of(task, hyperparameters, 0), hyperparameters)
-    if (whole := budget.env_steps * hyperparameters.learners) > steps:
+    parts = parts_of(task, hyperparameters)
+    budget = find_algorithm(name).budget(parts[0], hyperparameters)
+    if (whole := budget.env_steps * len(parts)) > steps:
         bound = "" if budget.exact else "up to "
         lines.append(
             f"steps: {name} learns from whole {budget.unit}, so this run takes "
@@ -91,12 +94,13 @@ def notes(config: TrainConfig) -> list[str]:
     return lines
 
 
-def part_of(task: Task, hyperparameters: Hyperparameters, number: int) -> Task:
-    """Return the task of a learner of a run: a share of the budget, and a seed of its number."""
-    steps, seed = -(-task.config.steps // hyperparameters.learners), task.config.seed
-    if number:
-        seed = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
-    return replace(task, config=replace(task.config, steps=steps, seed=seed))
+def parts_of(task: Task, hyperparameters: Hyperparameters) -> list[Task]:
+    """Return the task of each learner of a run: a share of the budget, and a seed of its number."""
+    config = task.config
+    count = max(1, min(hyperparameters.learners, config.steps // LEAST_STEPS))
+    more = [np.random.SeedSequence((config.seed, k)).generate_state(1) for k in range(1, count)]
+    seeds, steps = [config.seed, *(int(seed) for (seed,) in more)], -(-config.steps // count)
+    return [replace(task, config=replace(config, steps=steps, seed=seed)) for seed in seeds]
 
 
 def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:

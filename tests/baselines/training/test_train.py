@@ -269,6 +269,7 @@ def test_a_run_of_two_learners_resumes_in_the_second(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder, "ROW_STEPS", 1)
+    monkeypatch.setattr("baselines.training.train.LEAST_STEPS", 200)
     config = small_config(name)
     config = replace(config, hyperparameters={**config.hyperparameters, "learners": 2})
     whole = train(config, tmp_path / "whole")
