@@ -267,7 +267,8 @@ class CentralizedVecEnv(NavigationVecEnv):
 
     def _row(self) -> tuple[int, spaces.Box, spaces.Box]:
         engine, n = self.engine, self.engine.n_robots
-        check_central(engine.config)
+        if not self._joint:
+            check_central(engine.config)
         seen = spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
         if self._joint:
             bounds = np.tile(engine.observation_low, n), np.tile(engine.observation_high, n)

@@ -193,13 +193,13 @@ def test_all_forms_agree_with_the_oracle(name: str) -> None:
     def agree(world: World, num_worlds: int, data: st.DataObject) -> None:
         n, which = len(world.behaviours), 0  # the world that the other forms are, if it is random
         options = data.draw(st.sampled_from(choices))
-        if disturbed:
+        if disturbed or own:
             options = {**options, "failures": data.draw(failures_of(n))}
             options["dynamics"] = tuple((ORDER * n)[:n])
-        elif not own:
+        else:
             which = data.draw(st.integers(0, num_worlds - 1), label="world")
         if own:
-            options = {**options, "decoys": (0, min(2, len(world.field.rois) - 1))}
+            options["decoys"] = (0, min(2, len(world.field.rois) - 1))
         world = replace(world, settings=world.settings | options)
         seen.update(compare(world, dtype, num_worlds, which))
 

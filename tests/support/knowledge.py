@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from tests.support.disturbances import key_of, uniform
 
 DECOYS, TELLING = 9, 10  # The purposes of the streams
@@ -14,15 +16,15 @@ def drawn_decoys(decoys: Any, m: int, *place: int) -> set[int]:
     """The empty ones of m ROIs in the episode with a seed, a world and a number."""
     least, most = decoys if isinstance(decoys, tuple) else (decoys, decoys)
     key, empty = key_of(*place, DECOYS), set[int]()
-    count = least + math.floor(float(uniform(key, 24)) * (most - least + 1))
+    count = least + math.floor(uniform(key, 24) * np.float32(most - least + 1))
     for j in range(m):
-        if float(uniform(key, j)) * (m - j) < count - len(empty):
+        if uniform(key, j) * np.float32(m - j) < count - len(empty):
             empty.add(j)
     return empty
 
 
 class Knowledge:
-    """The sets of ROIs that each robot of an oracle knows to be done, and has found."""
+    """What each robot of an oracle knows: a set of ROIs that are done, and that it has found."""
 
     def __init__(
         self,
@@ -40,39 +42,32 @@ class Knowledge:
         self.notice = max(comm_radius, oracle.sensing_radius)
 
     def begin(self) -> None:
-        robots, rois = range(self.oracle.n), range(len(self.oracle.rois))
-        self.done: list[set[int]] = [set() for _ in robots]
-        self.found: list[set[int]] = [set() if self.hidden else {*rois} for _ in robots]
+        found = {("found", j) for j in range(len(self.oracle.rois)) if not self.hidden}
+        self.words = [{*found} for _ in range(self.oracle.n)]
         self.sent: list[Any] = []
         self.learn()
 
     def learn(self) -> float:
         """Look, find and tell. Return the least distance of a decision from its threshold."""
-        oracle, margins = self.oracle, [math.inf]
+        oracle, words, margins = self.oracle, self.words, [math.inf]
+        spots = [(robot.x, robot.y) for robot in oracle.robots]
         there = [i for i, robot in enumerate(oracle.robots) if not oracle.gone(robot)]
 
         def near(a: Any, b: Any, radius: float) -> bool:
-            distance = math.dist(a, b)
-            margins.append(abs(distance - radius))
-            return distance <= radius
+            margins.append(abs(math.dist(a, b) - radius))
+            return math.dist(a, b) <= radius
 
-        spots = [(robot.x, robot.y) for robot in oracle.robots]
         for i in there:
             for j, roi in enumerate(oracle.rois):
                 if oracle.visited[j] and near(spots[i], roi, self.look):
-                    self.done[i].add(j)
+                    words[i].add(("done", j))
                 if self.hidden and near(spots[i], roi, oracle.sensing_radius):
-                    self.found[i].add(j)
-        self.sent.append(
-            [({*done}, {*found}) for done, found in zip(self.done, self.found, strict=True)]
-        )
-        if len(self.sent) > self.delay:
-            words = self.sent[-1 - self.delay]
-            key = key_of(*oracle.place, oracle.episode, TELLING)
-            for i in there:
-                for k in there:
-                    lost = uniform(key, (oracle.steps * 64 + i) * 64 + k) < self.loss
-                    if i != k and near(spots[i], spots[k], self.comm) and not lost:
-                        self.done[i] |= words[k][0]
-                        self.found[i] |= words[k][1]
+                    words[i].add(("found", j))
+        self.sent.append([{*known} for known in words])
+        key = key_of(*oracle.place, oracle.episode, TELLING)
+        for i in there if len(self.sent) > self.delay else ():
+            for k in there:
+                lost = uniform(key, (oracle.steps * 64 + i) * 64 + k) < self.loss
+                if i != k and near(spots[i], spots[k], self.comm) and not lost:
+                    words[i] |= self.sent[-1 - self.delay][k]
         return min(margins)

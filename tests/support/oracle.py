@@ -129,10 +129,11 @@ class Oracle:
 
     def is_done(self, i: int, j: int) -> bool:
         """Whether robot i knows that ROI j is visited or empty."""
-        return j in self.knowledge.done[i] if self.knowledge else self.visited[j]
+        return ("done", j) in self.knowledge.words[i] if self.knowledge else self.visited[j]
 
     def is_left(self, i: int, j: int) -> bool:
-        return not self.is_done(i, j) and (not self.knowledge or j in self.knowledge.found[i])
+        found = not self.knowledge or ("found", j) in self.knowledge.words[i]
+        return found and not self.is_done(i, j)
 
     def notices(self, me: Robot, other: Robot) -> bool:
         radius = self.knowledge.notice if self.knowledge else math.inf
@@ -222,7 +223,7 @@ class Oracle:
                     distance = math.dist(other.position, me.position)
                     sight.append(np.array([max(0.0, 1.0 - distance / reach)]))
                 seen += [(other.seen and not self.gone(other)) * entries for entries in sight]
-                seen.append(self._flag(other))
+                seen.append(self.notices(me, other) * self._flag(other))
             for j, (roi, visited) in enumerate(rois):
                 place, is_seen = self.disturbances.seen(i, 64 + j, roi, self.bounds)
                 offset = np.array(place) - me.position

@@ -21,7 +21,7 @@ from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.entities import entity_rows, put_entities, shows_entities
 from mbn_marl.engine.mdp.events import visit_code, within
 from mbn_marl.engine.mdp.failures import blank_absent, blank_gone, put_flag
-from mbn_marl.engine.mdp.knowledge import hide_unnoticed, is_done
+from mbn_marl.engine.mdp.knowledge import hide_unnoticed, is_done, knows_own
 from mbn_marl.engine.mdp.lidar import has_rays
 from mbn_marl.engine.mdp.sight import (
     Robots,
@@ -226,7 +226,10 @@ def end_other(p, view, lo, hi, j, first, end):
     """Blank the entries of robot j where it is not sensed or gone; add its flag; where they end."""
     drop(view, lo, hi, j, first, end)
     blank_gone(p, view, lo, hi, j, first, end)
-    return end + put_flag(view.ep, lo, hi, j, view.tile, end)
+    flags = put_flag(view.ep, lo, hi, j, view.tile, end)
+    if knows_own(view.ep):
+        hide_unnoticed(p, view, lo, hi, j, end, end + flags)
+    return end + flags
 
 
 @compiled
