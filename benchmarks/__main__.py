@@ -18,6 +18,8 @@ SUBJECTS = {
     "study": ("studies.learning", "Study", "comparisons of learning, benchmarks/studies/*.yaml"),
     "splits": ("splits", "Splits", "the frozen fields of a benchmark: made, proved, verified"),
     "leaderboard": ("leaderboard", "Leaderboard", "the page of the committed results"),
+    "strip": ("strip", "Strip", "the figures of the pages of results"),
+    "tables": ("tables", "Tables", "the tables of the pages of results"),
     "gpu": ("gpu", "Gpu", "the engine on CUDA"),
 }
 USAGE = "usage: python -m benchmarks SUBJECT [options]    (SUBJECT --help lists the options)\n\n"

@@ -106,7 +106,7 @@ algorithm = {"mappo": MappoConfig, "masac": MasacConfig}[arguments.algorithm].ge
 if arguments.algorithm == "mappo":  # MASAC finds its entropy by itself
     algorithm.entropy_coef, algorithm.lmbda = 0.01, 0.95
 model = MlpConfig(num_cells=[64, 64], activation_class=torch.nn.Tanh, layer_class=torch.nn.Linear)
-task = Navigation("field_03", {"one_hot": True, "reward_sharing": "team", "action_repeat": 4})
+task = Navigation("field_03", {"one_hot": True, "reward_sharing": "team"})
 experiment = Experiment(
     task=task,
     algorithm_config=algorithm,

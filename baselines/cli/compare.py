@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from baselines.compare.records import Results
     from baselines.runs.folder import RunFolder
 
+WRITTEN = "comparison.md, comparison.json, table.csv, runs.csv, curves.csv, figures, runs"
+
 
 @dataclass(frozen=True)
 class Compare(Writes):
@@ -47,7 +49,7 @@ class Compare(Writes):
             config = replace(config, variants=read_variants(self.variants))
         how = {name: getattr(self, name) for name in ("processes", "force", "resume", "wandb")}
         train_and_compare(config, self.out, command=command_line, **how)
-        print(f"written to {self.out}: comparison.md, comparison.json, table.csv, figures, runs")
+        print(f"written to {self.out}: {WRITTEN}")
 
 
 def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Results:
@@ -84,6 +86,8 @@ class Report(Writes):
     """The paper's experiments: its tables as Markdown, CSV and LaTeX, and its figures."""
     comparison: bool = False
     """The statistics of `mbn compare`, on runs that are there already."""
+    marl_eval: Path | None = None
+    """With a comparison: also write a file of all evaluations that marl-eval reads."""
     study: Path | None = None
     """The folder of an `mbn tune`, to draw."""
     notes: Path | None = None
@@ -100,6 +104,7 @@ class Report(Writes):
             "kind: --paper or --comparison is needed, or an out that ends in .html": not page
             and self.paper == self.comparison,
             "study and notes: allowed with --paper": not self.paper and (self.study or self.notes),
+            "marl_eval: allowed with a comparison": self.paper and self.marl_eval,
             "RUN: at least one folder is needed": not self.runs,
         }
         check_options("report", wrong)
@@ -111,7 +116,7 @@ class Report(Writes):
 
             write_report(self.runs, self.out, study=self.study, notes=self.notes, **how)
         else:
-            found = report_comparison(self.runs, self.out, **how)
+            found = report_comparison(self.runs, self.out, marl_eval=self.marl_eval, **how)
             print_comparison(found, screen)
         note(f"written to {self.out}")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,10 @@ from tyro.conf import Positional, arg
 from baselines.cli.options import OptionalOutput, Output, Subject, Writes, check_options
 
 ONE_EPISODE = "deterministic:\none episode"
+NUMBERS = {
+    **{"SPL": ("spl", "{:.1%}"), "success": ("success_rate", "{:.1%}"), "gap": ("gap", "{:.1%}")},
+    **{"makespan": ("makespan", "{:.1f}"), "return": ("return_mean", "{:,.0f}")},
+}
 OF_GAPS = "gap: makespan over the proved optimum; SPL: optimum / makespan, failures 0"
 
 
@@ -85,21 +89,22 @@ def print_evaluations(
     one: Callable[..., bool] = lambda *, deterministic: False,
 ) -> None:
     """Print summaries, one a row; ``one`` says if all episodes of a row are the same."""
-    from baselines.compare.text_table import TextTable, shown
+    from baselines.compare.text_table import TextTable
 
-    headings = ("actions", "episodes", "success", "makespan", "gap", "SPL", "return")
-    lines = [
-        (
-            "mean" if row["deterministic"] else "sampled",
-            ONE_EPISODE if one(deterministic=row["deterministic"]) else str(row["episodes"]),
-            f"{row['success_rate']:.1%}",
-            shown(row["makespan"], "{:.1f}"),
-            *(shown(row[name], "{:.1%}") for name in ("gap", "spl")),
-            shown(row["return_mean"]),
-        )
-        for row in summaries
-    ]
-    TextTable(OF_GAPS, headings, lines).print(title)
+    lines = []
+    for row in summaries:
+        episodes = ONE_EPISODE if one(deterministic=row["deterministic"]) else str(row["episodes"])
+        actions, *numbers = _cells(row)
+        lines.append((actions, episodes, *numbers))
+    TextTable(OF_GAPS, ("actions", "episodes", *NUMBERS), lines).print(title)
+
+
+def _cells(summary: Mapping[str, Any]) -> Iterator[str]:
+    from baselines.compare.text_table import shown
+
+    yield "mean" if summary["deterministic"] else "sampled"
+    for name, form in NUMBERS.values():
+        yield shown(summary[name], form)
 
 
 @dataclass(frozen=True)
@@ -129,22 +134,15 @@ class Zoo:
 
 
 def print_cards(cards: Iterable[Mapping[str, Any]]) -> None:
-    from baselines.compare.text_table import TextTable, shown
+    from baselines.compare.text_table import TextTable
 
-    headings = ("policy", "algorithm", "env-steps", "sampled\nactions", "success", "mean\nactions")
     lines = [
-        (
-            f"zoo:{card['name']}",
-            card["algorithm"],
-            f"{card['env_steps']:,}",
-            shown(card["stochastic"]["return_mean"]),
-            f"{card['stochastic']['success_rate']:.0%}",
-            shown(card["deterministic"]["return_mean"]),
-            shown(card["optimum"]),
-        )
+        (f"zoo:{card['name']}", card["information"], *_cells(card[kind]), f"{card['env_steps']:,}")
         for card in cards
+        for kind in ("stochastic", "deterministic")
     ]
-    TextTable("", (*headings, "optimum"), lines).print()
+    headings = ("policy", "information", "actions", *NUMBERS, "env-steps")
+    TextTable(OF_GAPS, headings, lines, words=3).print()
 
 
 @dataclass(frozen=True)

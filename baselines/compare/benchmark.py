@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,14 +14,13 @@ from typing import Any
 import numpy as np
 
 from baselines.compare.page import episodes_html, folded_html, report_page, tables_html
-from baselines.compare.summary import interquartile_mean
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
-from baselines.evaluation.intervals import mean_interval, mean_of_known
+from baselines.evaluation.intervals import mean_interval
 from baselines.policies.classical import NoPlanError
 from baselines.policies.load import Source
 from baselines.policies.policy import Policy, Wrapped
-from baselines.policies.shielded import Shielded, behind
+from baselines.policies.shielded import Shielded, behind, information_of
 from baselines.runs.files import RunError, differences, read_json, versions, write_json
 from mbn_marl.config import Checked, Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
@@ -31,30 +31,27 @@ from mbn_marl.planning import UnsolvableError
 from mbn_marl.version import __version__
 
 RESULT, PAGE, EPISODES = "result.json", "page.html", "episodes"
+ALL = "all"
 CHOSEN = ("median", "worst")
-T_MAX = NavigationConfig().max_steps
 MISFITS = (ConfigError, NoPlanError, UnsolvableError)
 FORCE_HINT = "use --force to move the folder aside and start again"
 WAYS = ("mean", "sampled")
 METRICS: Mapping[str, tuple[str, str]] = {
+    "spl": ("SPL", "{:.1%}"),
     "success_rate": ("success", "{:.1%}"),
+    "gap": ("gap", "{:.1%}"),
+    "makespan": ("makespan", "{:.1f}"),
     "clean_rate": ("clean", "{:.1%}"),
     "collision_rate": ("collisions", "{:.1%}"),
     "wall_hits": ("wall hits", "{:.2f}"),
-    "steps": ("steps", "{:.1f}"),
-    "makespan": ("makespan", "{:.1f}"),
-    "makespan_with_failures": ("makespan,\nfailed: T_max", "{:.1f}"),
-    "gap": ("gap", "{:.1%}"),
-    "gap_to_best_known": ("gap to\nbest known", "{:.1%}"),
-    "gap_with_failures": ("gap,\nfailed: T_max", "{:.1%}"),
 }
 """The numbers of an instance and a way of acting, see docs/benchmark.md: heading and form."""
 TIMES = {"decision_ms": ("ms a\ndecision", "{:.2f}"), "begin_s": ("s to\nbegin", "{:.2f}")}
 """Processor time of a decision of the team, and of what comes before the first one."""
 COLUMNS = {**METRICS, **TIMES}
 CAPTION = (
-    "Intervals: 95 % over the instances. Gap: makespan over the proved bound, of successes. With "
-    "failed: T_max, failures count as 1000 steps. Times: of the processor, with mean actions."
+    "SPL: proved bound / makespan, failures 0. Gap: makespan / bound - 1, of successes. Intervals: "
+    "95 % over the instances. Times: of the processor, with mean actions."
 )
 
 
@@ -162,10 +159,6 @@ def run_benchmark(
     misfits = [f"{tier}: {one['misfit']}" for tier, one in done.items() if one["misfit"]]
     if len(misfits) == len(done):
         raise ConfigError(source, misfits)
-    rows = [row for one in done.values() for row in one["instances"]]
-    whole = set(done) == set(protocol.tiers) and not misfits
-    record["all"] = {"instances": len(rows), **summarise(rows)} if whole else None
-    write_json(path, record)
     return record
 
 
@@ -215,17 +208,14 @@ def _run_tier(
         rows.append(row)
         episodes.append(episode)
         advance(1)
-    costs = [
-        row["mean"]["makespan_with_failures"] / (row["makespan_lower_bound"] or 1) for row in rows
-    ]
-    order = np.argsort(costs, kind="stable")
-    chosen = dict(zip(CHOSEN, (int(order[len(order) // 2]), int(order[-1])), strict=True))
+    order = sorted(range(len(rows)), key=lambda k: rank(rows[k]["mean"]), reverse=True)
+    chosen = dict(zip(CHOSEN, (order[len(order) // 2], order[-1]), strict=True))
     shown = {}
     for name, k in chosen.items():
         condition = instances[k].condition
         where = rows[k]["field"] + ("" if condition == "calm" else f", {condition}")
         shown[name] = replace(episodes[k], source=f"{name}: {where}")
-    return {"misfit": None, **chosen, **summarise(rows), "instances": rows}, shown
+    return {"misfit": None, **chosen, "instances": rows}, shown
 
 
 def _run_instance(
@@ -240,18 +230,19 @@ def _run_instance(
         raise ConfigError("policy", [f"n_robots: {fixed}; the field has {team}"])
     policy = Shielded(loaded.policy) if shield else loaded.policy
     counts = protocol.episodes
-    timed, where = Timed(policy), (one.field, loaded.settings)
+    timed, where = Timed(policy), ([one], loaded.settings)
     same = is_one_episode(policy, loaded.settings, deterministic=True)
     count = counts.mean if same else counts.mean_if_random
     mean = evaluate(timed, *where, episodes=count, deterministic=True, seed=seed, record=[0])
     sampled = None
-    if policy.draws(deterministic=False):
+    if policy.draws(deterministic=False) and not policy.draws(deterministic=True):
         sampled = evaluate(policy, *where, episodes=counts.sampled, seed=seed)
     row = {
         **{"field": one.field.name, "condition": one.condition},
-        **{"makespan_lower_bound": one.makespan_lower_bound, "best_known": one.best_known},
-        "mean": numbers(mean, one),
-        "sampled": None if sampled is None else numbers(sampled, one),
+        "makespan_lower_bound": one.makespan_lower_bound,
+        "information": information_of(policy, loaded.settings, source.run),
+        "mean": numbers(mean),
+        "sampled": None if sampled is None else numbers(sampled),
         "times": {"decision_ms": 1e3 * timed.seconds / timed.decisions, "begin_s": begin},
     }
     return row, mean.recorded[0]
@@ -270,51 +261,37 @@ def check_settings(settings: Mapping[str, Any], condition: Condition, protocol: 
         raise SettingsError("settings of the policy, which change the task", problems)
 
 
-def numbers(found: Evaluation, one: Instance) -> dict[str, float | None]:
-    def gap(steps: float | None, least: int | None) -> float | None:
-        return None if steps is None or least is None else steps / least - 1.0
-
-    ends = [*zip(found.steps, found.successes, strict=True)]
-    makespan = mean_of_known(found.makespans)
-    capped = float(np.mean([steps if success else T_MAX for steps, success in ends]))
+def numbers(found: Evaluation) -> dict[str, float | None]:
     clean = [ok and not hits for ok, hits in zip(found.successes, found.wall_hits, strict=True)]
-    return {
-        "success_rate": float(np.mean(found.successes)),
-        "clean_rate": float(np.mean(clean)),
-        "collision_rate": float(np.mean(found.collisions)),
-        "wall_hits": float(np.mean(found.wall_hits)),
-        "steps": float(np.mean(found.steps)),
-        "makespan": makespan,
-        "makespan_with_failures": capped,
-        "gap": gap(makespan, one.makespan_lower_bound),
-        "gap_to_best_known": gap(makespan, one.best_known),
-        "gap_with_failures": gap(capped, one.makespan_lower_bound),
-    }
+    known = {**found.summary(), "clean_rate": float(np.mean(clean))}
+    return {name: known[name] for name in METRICS}
+
+
+def rank(found: Mapping[str, float | None]) -> tuple[float, ...]:
+    """Return what orders rows, highest first: SPL; without a bound success, then makespan."""
+    if (spl := found["spl"]) is not None:
+        return (spl,)
+    return found["success_rate"] or 0.0, -(found["makespan"] or math.inf)
 
 
 def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    """Return the means over the instances of each way of acting, with 95 % intervals."""
+    information = ", ".join(sorted({row["information"] for row in rows}))
+    found: dict[str, Any] = {"information": information, "instances": len(rows)}
     for way, names in ((WAYS[0], METRICS), (WAYS[1], METRICS), ("times", TIMES)):
         known = [row[way] for row in rows if row[way] is not None]
-        each = {name: statistics([row[name] for row in known]) for name in names}
-        found[way] = each if known else None
+        each = {name: [row[name] for row in known if row[name] is not None] for name in names}
+        means = {name: mean_interval(values) if values else None for name, values in each.items()}
+        found[way] = means if known else None
     return found
 
 
-def statistics(values: Sequence[float | None]) -> dict[str, Any] | None:
-    """Return mean and interquartile mean of what is known, with bootstrapped 95 % intervals."""
-    known = [value for value in values if value is not None]
-    if not known:
-        return None
-    mean, low, high = mean_interval(known)
-    same = len(set(known)) == 1
-    iqm, iqm_low, iqm_high = (
-        (mean, low, high) if same else interquartile_mean(np.array([known], float))
-    )
-    return {
-        **{"instances": len(known), "mean": mean, "low": low, "high": high},
-        **{"iqm": iqm, "iqm_low": iqm_low, "iqm_high": iqm_high},
-    }
+def summaries(tiers: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return those of a result's tiers, and of ``all`` of a whole result; none of misfits."""
+    rows = {tier: one["instances"] for tier, one in tiers.items() if not one["misfit"]}
+    if set(rows) == set(load_protocol().tiers):
+        rows[ALL] = [row for own in rows.values() for row in own]
+    return {tier: summarise(own) for tier, own in rows.items()}
 
 
 def cells(found: Mapping[str, Any], way: str, columns: Iterable[str] = COLUMNS) -> tuple[str, ...]:
@@ -324,31 +301,29 @@ def cells(found: Mapping[str, Any], way: str, columns: Iterable[str] = COLUMNS) 
     def cell(name: str) -> str:
         if (one := known.get(name)) is None:
             return "-"
-        form, low, high = COLUMNS[name][1], one["low"], one["high"]
-        ends = "" if low in (None, high) else f"\n{form} .. {form}".format(low, high)
-        return form.format(one["mean"]) + ends
+        form = COLUMNS[name][1]
+        ends = "" if one.low in (None, one.high) else f"\n{form} .. {form}".format(*one[1:])
+        return form.format(one.mean) + ends
 
     return tuple(map(cell, columns))
 
 
 def result_tables(record: Mapping[str, Any]) -> dict[str, TextTable]:
     """Return the tables of a result by the way of acting in words."""
+    found = summaries(record["tiers"])
     misfits = {tier: one["misfit"] for tier, one in record["tiers"].items() if one["misfit"]}
-    reasons = [f"{tier} does not fit: {reason}" for tier, reason in misfits.items()]
+    caption = [CAPTION, *(f"{tier} does not fit: {why}" for tier, why in misfits.items())]
+    headings = ("tier", "information", "fields", *(heading for heading, _ in COLUMNS.values()))
     tables = {}
     for way in WAYS:
-        found = [(tier, one) for tier, one in record["tiers"].items() if one.get(way)]
-        if not found:
+        if not any(one[way] for one in found.values()):
             continue
-        lines = [(tier, str(len(one["instances"])), one) for tier, one in found]
-        if (every := record["all"]) is not None:
-            lines.append(("all", str(every["instances"]), every))
-        lines += [(tier, "-", {}) for tier in misfits]
-        tables[f"{way} actions, means"] = TextTable(
-            "\n".join([CAPTION, *reasons]),
-            ("tier", "fields", *(heading for heading, _ in COLUMNS.values())),
-            [(tier, count, *cells(one, way)) for tier, count, one in lines],
-        )
+        lines = [
+            (tier, one["information"], str(one["instances"]), *cells(one, way))
+            for tier, one in found.items()
+        ]
+        lines += [(tier, "-", "-", *cells({}, way)) for tier in misfits]
+        tables[f"{way} actions, means"] = TextTable("\n".join(caption), headings, lines, words=2)
     return tables
 
 

@@ -13,10 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
-from pandas import DataFrame
 
 from baselines.compare.records import RunRecord
-from baselines.compare.summary import RESAMPLES, THRESHOLDS, Comparison, Estimate, Profile
+from baselines.compare.summary import RESAMPLES, Comparison
 from baselines.evaluation.intervals import RETURN_THRESHOLD
 from mbn_marl.errors import MbnError
 from mbn_marl.render import style
@@ -25,11 +24,7 @@ FloatArray = NDArray[np.float64]
 Curves = Mapping[str, Sequence[tuple[FloatArray, FloatArray]]]
 Band = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
-_AGGREGATES = {
-    "interquartile mean": "iqm",
-    "optimality gap": "gap",
-    "optimality gap, mean actions": "deterministic_gap",
-}
+_RATIOS = (1.0, 1.05, 1.1, 1.2, 1.3, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
 _RULE: dict[str, Any] = {"color": style.FAINT_INK, "lw": 1.0}  # the look of a marked return
 _PAIR_MARKS: tuple[dict[str, Any], ...] = (
     {"marker": "o", "ls": "none", "color": style.BLUE, "mfc": style.WHITE, "ms": 7.5, "mew": 1.3},
@@ -41,7 +36,7 @@ class Panel(NamedTuple):
     """Learning curves of one field, and the best possible return to mark, or ``None``."""
 
     curves: Curves
-    optimum: float | None
+    optimum: float | None = None
 
 
 class Pair(NamedTuple):
@@ -51,36 +46,55 @@ class Pair(NamedTuple):
     second: float | None
 
 
-def draw_statistics(comparison: Comparison) -> dict[str, Figure]:
-    drawn, by_label = {}, {one["label"]: one for one in comparison.aggregates}
-    if by_label:
-        drawn["Aggregates"] = intervals_figure(
-            {
-                title: {label: one[name] for label, one in by_label.items()}
-                for title, name in _AGGREGATES.items()
-            }
-        )
-        profiles = {label: one["profile"] for label, one in by_label.items()}
-        drawn["Performance profiles"] = profiles_figure(profiles, THRESHOLDS, comparison.looks)
-    if pairs := list(itertools.combinations(comparison.looks, 2)):
-        title = "Probability of improvement"
-        chances = {f"{x} > {y}": comparison.probability_of_improvement[x][y] for x, y in pairs}
-        figure = drawn[title] = intervals_figure({title.lower(): chances})
-        figure.axes[0].axvline(0.5, color=style.FAINT_INK, ls=":", lw=1.2, zorder=1)
-        figure.axes[0].set(xlim=(0.0, 1.0), xticks=[0.0, 0.25, 0.5, 0.75, 1.0])
-    return drawn
+def draw_gaps(comparison: Comparison) -> Figure:
+    """Draw the makespan gaps of all runs on the fields with a proved bound."""
+    gaps: dict[str, list[float | None]] = {one["label"]: [] for one in comparison.aggregates}
+    for run in comparison.runs:
+        if run["field"] not in comparison.fields_without_bound:
+            gaps[run["label"]].append(run["deterministic_gap"] if run["passed"] else None)
+    return strips_figure(gaps)
 
 
 def draw_learning_curves(
     field: str, groups: Mapping[str, Sequence[RunRecord]], looks: Mapping[str, int]
 ) -> Figure:
-    found = {}
-    for label, runs in groups.items():
-        tables = [DataFrame(one.evaluations) for one in runs]
-        found[label] = [(one.env_steps.to_numpy(), one.return_mean.to_numpy()) for one in tables]
-    optimum, *others = {one.optimum for group in groups.values() for one in group}
-    panel = Panel(found, None if others else optimum)
-    return learning_curves({field: panel}, looks, "return: mean, 95 % band over seeds")
+    points = [point for runs in groups.values() for run in runs for point in run.curve]
+    bounded = all(point["spl"] is not None for point in points)
+    name, title = ("spl", "SPL") if bounded else ("success_rate", "success")
+    found = {
+        label: [tuple(np.array([[p["env_steps"], p[name]] for p in run.curve]).T) for run in runs]
+        for label, runs in groups.items()
+    }
+    subject = f"{title}, sampled actions: mean, 95 % band over seeds"
+    return learning_curves({field: Panel(found)}, looks, subject)
+
+
+@matplotlib.rc_context(style.MATPLOTLIB)
+def strips_figure(groups: Mapping[str, Sequence[float | None]]) -> Figure:
+    """Draw makespan gaps, a column a group, a dot a run, its median a line; ``None`` failed."""
+    figure = Figure(figsize=(max(4.6, 0.7 * len(groups) + 1.0), 3.4), layout="constrained")
+    axes = figure.add_subplot()
+    known = [gap for gaps in groups.values() for gap in gaps if gap is not None]
+    most = max([1.1, *(1.0 + gap for gap in known)])
+    top, rng = most**1.15, np.random.default_rng(0)
+    for column, gaps in enumerate(groups.values()):
+        places = column + rng.uniform(-0.25, 0.25, len(gaps))
+        ratios = np.array([top if gap is None else 1.0 + gap for gap in gaps])
+        failed = np.array([gap is None for gap in gaps])
+        axes.plot(places[~failed], ratios[~failed], "o", c=style.BLUE, ms=3.5, alpha=0.6)
+        if not failed.all():
+            axes.hlines(np.median(ratios[~failed]), column - 0.35, column + 0.35, color=style.INK)
+        if failed.any():
+            axes.plot(places[failed], ratios[failed], "x", c=style.VERMILLION, ms=5, clip_on=False)
+    ticks = {f"{ratio - 1.0:.0%}": ratio for ratio in _RATIOS if ratio <= most}
+    ticks |= {"failed": top} if any(None in gaps for gaps in groups.values()) else {}
+    axes.set(yscale="log", ylim=(min([0.99, *(1.0 + gap for gap in known)]), top))
+    axes.set_yticks([*ticks.values()], [*ticks])
+    axes.minorticks_off()
+    axes.set_xticks(range(len(groups)), list(groups), rotation=30 if len(groups) > 4 else 0)
+    axes.set_ylabel("makespan over the bound, mean actions")
+    axes.grid(True, axis="y")
+    return figure
 
 
 @matplotlib.rc_context({**style.MATPLOTLIB, "lines.linewidth": 1.2})
@@ -88,12 +102,13 @@ def learning_curves(
     panels: Mapping[str, Panel],
     looks: Mapping[str, int],
     subject: str,
-    threshold: float = RETURN_THRESHOLD,
+    threshold: float | None = None,
 ) -> Figure:
-    """Draw the mean return over seeds against env-steps with its 95 % band, a panel a field.
+    """Draw the mean over seeds against env-steps with its 95 % band, a panel a field.
 
-    If early returns lie far below the others, the axis is logarithmic there, as its label says. An
-    MbnError names a label whose seeds have no range of env-steps in common.
+    Values are shares, or returns if there is a ``threshold`` to mark. If early returns lie far
+    below the others, the axis is logarithmic there, as its label says. An MbnError names a label
+    whose seeds have no range of env-steps in common.
     """
     bands = {
         (title, name): mean_and_band(f"{title}, {name}", seeds)
@@ -111,15 +126,20 @@ def learning_curves(
             axes.plot(steps, mean, color=look.colour, zorder=3, markevery=every, **shape)
             if len(seeds) > 1:
                 axes.fill_between(steps, low, high, color=look.colour, alpha=0.18, lw=0)
-        axes.axhline(threshold, ls=":", zorder=2, **_RULE)
+        if threshold is not None:
+            axes.axhline(threshold, ls=":", zorder=2, **_RULE)
         if panel.optimum is not None:
             axes.axhline(panel.optimum, zorder=2, **_RULE)
         axes.set_title(title, loc="left")
         axes.grid(True)
     grid[0].xaxis.set_major_formatter(EngFormatter(sep=" "))
-    ends = np.concatenate([end for band in bands.values() for end in band[2:]])
-    top = max(float(ends.max()), threshold, *optima)
-    note = _scale_returns(grid[0], "y", float(ends.min()), top, ticks=2 if len(panels) > 1 else 4)
+    note = ""
+    if threshold is None:
+        grid[0].yaxis.set_major_formatter(PercentFormatter(1.0))
+    else:
+        ends = np.concatenate([end for band in bands.values() for end in band[2:]])
+        top, ticks = max(float(ends.max()), threshold, *optima), 2 if len(panels) > 1 else 4
+        note = _scale_returns(grid[0], "y", float(ends.min()), top, ticks=ticks)
     for axes in grid[-2:]:
         axes.set_xlabel("env-steps")
     figure.supylabel(f"{subject}{note}", fontsize=9.0, ha="center")
@@ -129,7 +149,8 @@ def learning_curves(
         for name, look in styles.items()
         if name in drawn
     ]
-    handles.append(Line2D([], [], ls=":", label=f"threshold {threshold:,.0f}", **_RULE))
+    if threshold is not None:
+        handles.append(Line2D([], [], ls=":", label=f"threshold {threshold:,.0f}", **_RULE))
     if optima:
         handles.append(Line2D([], [], label="proved optimum", **_RULE))
     figure.legend(handles=handles, loc="outside lower center", ncols=4, handlelength=3.2)
@@ -174,66 +195,11 @@ def pairs(
     return figure
 
 
-@matplotlib.rc_context(style.MATPLOTLIB)
-def intervals_figure(panels: Mapping[str, Mapping[str, Estimate]]) -> Figure:
-    heights = [len(lines) + 1.0 for lines in panels.values()]
-    tall = sum(0.25 * height + 0.55 for height in heights)
-    figure = Figure(figsize=(4.6, tall), layout="constrained")  # about as wide as a phone
-    grid = figure.subplots(len(panels), 1, squeeze=False, height_ratios=heights).ravel()
-    for axes, (title, lines) in zip(grid, panels.items(), strict=True):
-        for place, (value, low, high) in enumerate(lines.values()):
-            if low is not None and high is not None:
-                axes.hlines(place, low, high, color=style.BLUE, lw=6.0, alpha=0.35, clip_on=False)
-            axes.plot([value], [place], c=style.BLUE, marker="|", ms=11.0, mew=2.0, clip_on=False)
-        axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-        axes.xaxis.set_major_locator(MaxNLocator(4))
-        axes.grid(True, axis="x")
-        axes.set_yticks(range(len(lines)), list(lines))
-        axes.set_ylim(len(lines) - 0.5, -0.5)
-        axes.set_title(title, loc="left", fontsize=9.0)
-    return figure
-
-
-@matplotlib.rc_context(style.MATPLOTLIB)
-def profiles_figure(
-    profiles: Mapping[str, Profile], thresholds: FloatArray, looks: Mapping[str, int]
-) -> Figure:
-    """Draw the share of runs above each of ``thresholds`` (k,), shares of the optimum up to 1.
-
-    The axis is logarithmic in what a threshold lacks of 1: good runs differ there.
-    """
-    figure = Figure(figsize=(4.6, 3.6), layout="constrained")
-    axes = figure.add_subplot()
-    lacks = 1.0 - thresholds[:-1]  # more than 1 has none
-    for name, band in profiles.items():
-        share, low, high = (values[:-1] for values in band)
-        look = style.series(looks[name])
-        axes.step(lacks, share, where="post", c=look.colour, ls=look.dash)
-        falls = np.flatnonzero(np.diff(share, append=0.0))
-        marks: dict[str, Any] = {"marker": look.marker, "ms": 4, "c": look.colour}
-        axes.plot(lacks[falls], share[falls], ls="none", **marks)
-        axes.plot([], [], ls=look.dash, label=name, **marks)
-        axes.fill_between(lacks, low, high, step="post", color=look.colour, alpha=0.18, lw=0)
-    shares = np.stack([share for share, _, _ in profiles.values()])
-    fallen = np.flatnonzero((shares[:, :-1] < shares[:, :1]).any(axis=0))
-    first = max(fallen[0] - 1, 0) if len(fallen) and fallen[0] < len(lacks) - 1 else 0
-    axes.set(xscale="log", xlim=(lacks[first], lacks[-1]), ylim=(-0.02, 1.02))
-    ticks = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
-    shown = [lack for lack in ticks if lacks[-1] * 0.99 <= lack <= lacks[first]]
-    axes.set_xticks(shown, [f"{1.0 - lack:.1%}".replace(".0", "") for lack in shown])
-    axes.minorticks_off()
-    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.set(xlabel="return as a share of the proved optimum", ylabel="share of runs above it")
-    axes.grid(True)
-    figure.legend(loc="outside lower center", ncols=min(len(profiles), 3), handlelength=3.2)
-    return figure
-
-
 def mean_and_band(name: str, runs: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Band:
     """Return steps, mean, and the ends of the 95 % percentile bootstrap over seeds, (k,) each.
 
     The steps are all those of any seed that lie within every seed's range; between two of a seed
-    its return is interpolated. An MbnError names ``name`` if there are none.
+    its value is interpolated. An MbnError names ``name`` if there are none.
     """
     first = max(steps[0] for steps, _ in runs)
     last = min(steps[-1] for steps, _ in runs)

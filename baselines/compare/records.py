@@ -9,33 +9,39 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 from pydantic import Field as Range
 
-from baselines.algorithms import ALGORITHMS
+from baselines.algorithms import ALGORITHMS, find_algorithm
+from baselines.evaluation.intervals import passes
+from baselines.policies.information import information
 from baselines.runs.discover import run_folders
-from baselines.runs.files import RunError
+from baselines.runs.files import RunError, read_json
 from baselines.runs.folder import RunFolder
 from baselines.training.config import MOST, default_label, problems_of
 from mbn_marl.config import RealNumber, WholeNumber, describe, make_config
 from mbn_marl.errors import ConfigError, collecting
-from mbn_marl.field import Field
-from mbn_marl.optimum import VIEW, optimal_return
+from mbn_marl.field import Field, FieldSampler, load_split
+from mbn_marl.optimum import VIEW
 
 NEEDED = ("algorithm", "setting", "field", "seed")
 CONFIG = ("steps", "evaluate_every", "episodes", "environment", "hyperparameters")
 BUDGET = ("steps", "evaluate_every", "episodes")
 """Settings that must be the same in all runs."""
+METRICS = ("success_rate", "makespan", "gap", "spl", "return_mean")
+BOTH = (*METRICS, *(f"deterministic_{name}" for name in METRICS))
+"""The numbers of an evaluation: with sampled actions, and with mean ones."""
 LEARNER = ("algorithm", "setting", "environment", "hyperparameters")
 """Settings that must be the same in all runs of one label."""
 Content = TypeVar("Content", bound=BaseModel)
 Count = Annotated[WholeNumber, Range(ge=0, le=MOST)]
 Number = Annotated[RealNumber, Range(ge=-MOST, le=MOST)]
 Positive = Annotated[RealNumber, Range(ge=0, le=MOST)]
+Share = Annotated[RealNumber, Range(ge=0, le=1)]
 
 
 class Listed(BaseModel):
@@ -47,17 +53,26 @@ class Listed(BaseModel):
 
 class Score(BaseModel):
     return_mean: Number
-    success_rate: Annotated[RealNumber, Range(ge=0, le=1)]
+    success_rate: Share
 
 
 class Summary(Score):
     makespan: Positive | None
 
 
-class Progress(BaseModel):
+class Measured(Summary):
+    gap: Number | None
+    spl: Positive | None
+
+
+class Progress(Measured):
     env_steps: Count
     seconds: Positive
-    return_mean: Number
+    deterministic_return_mean: Number
+    deterministic_success_rate: Share
+    deterministic_makespan: Positive | None
+    deterministic_gap: Number | None
+    deterministic_spl: Positive | None
 
 
 class Scores(BaseModel):
@@ -66,23 +81,25 @@ class Scores(BaseModel):
 
 class Final(BaseModel):
     env_steps: Count
+    policy_env_steps: Count
     seconds: Positive
-    stochastic: Summary
-    deterministic: Summary
+    stochastic: Measured
+    deterministic: Measured
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """A run's folder, configuration and field; evaluations are read when first asked for."""
+    """A run's folder, configuration and fields; evaluations are read when first asked for."""
 
     run: RunFolder
     config: Mapping[str, Any]
-    field: Field
+    fields: Field | FieldSampler
 
     @classmethod
     def read(cls, run: RunFolder, *, finished: bool = True) -> RunRecord:
         """Read a run, with all that a comparison needs if ``finished``; a RunError names a file."""
-        record = cls(run, run.config, run.field)
+        of_tier = finished and run.config.get("tier") is not None
+        record = cls(run, run.config, run.fields if of_tier else run.field)
         path = run.path / "config.json"
         needed = (*NEEDED, *CONFIG) if finished else NEEDED
         if missing := [name for name in needed if record.config.get(name) is None]:
@@ -121,16 +138,48 @@ class RunRecord:
     def default_label(self) -> str:
         return default_label(self.config["algorithm"], self.config["setting"])
 
-    @cached_property
-    def optimum(self) -> float | None:
-        """The proved best return, or ``None`` if nothing is proved."""
-        return optimal_return(self.field, make_config(self.config["environment"]))
+    @property
+    def place(self) -> str:
+        """The name of the field, or the tier that a run on random fields is evaluated on."""
+        return self.fields.name if isinstance(self.fields, Field) else str(self.config["tier"])
 
-    def final(self, *path: str) -> float:
-        value: Any = self.evaluation
-        for name in path:
-            value = value[name]
-        return float(value)
+    def field_to_show(self) -> Field:
+        if isinstance(self.fields, Field):
+            return self.fields
+        return load_split("test", self.place)[0].field
+
+    @cached_property
+    def row(self) -> dict[str, Any]:
+        """The run in numbers, a row of ``runs.csv``; ``None`` is unknown."""
+        config, final = self.config, self.evaluation
+        form = find_algorithm(config["algorithm"]).form
+        kinds = {"": final["stochastic"], "deterministic_": final["deterministic"]}
+        seen = information(config["environment"], centralized=form == "centralized")
+        revision = read_json(self.run.path / "versions.json", dict).get("git_revision")
+        return {
+            **{"label": self.label, "algorithm": config["algorithm"], "setting": config["setting"]},
+            **{"form": form, "information": seen, "field": self.place, "seed": config["seed"]},
+            **{name: final[name] for name in ("env_steps", "policy_env_steps", "seconds")},
+            "passed": passes(*(kind["success_rate"] for kind in kinds.values())),
+            **{f"{way}{name}": kinds[way][name] for way in kinds for name in METRICS},
+            "first_pass": next(
+                (
+                    entry["env_steps"]
+                    for entry in self.evaluations
+                    if passes(entry["success_rate"], entry["deterministic_success_rate"])
+                ),
+                None,
+            ),
+            "revision": revision and revision.removesuffix("-dirty"),
+            "clean": revision is not None and not revision.endswith("-dirty"),
+        }
+
+    @property
+    def curve(self) -> list[dict[str, Any]]:
+        """The evaluations on the way, rows of ``curves.csv``."""
+        who = {name: self.row[name] for name in ("label", "field", "seed")}
+        names = ("env_steps", *BOTH)
+        return [{**who, **{name: one[name] for name in names}} for one in self.evaluations]
 
 
 def validate(model: type[Content], content: Any, path: Path, place: str = "") -> Content:
@@ -150,10 +199,15 @@ def find_records(
 ) -> list[RunRecord]:
     """Read the runs at ``paths``, see ``run_folders``; a RunError names one that cannot be read.
 
-    Runs on random fields are left out; ``note`` receives a line about each.
+    Runs on random fields are left out, but for finished ones that are evaluated on a tier;
+    ``note`` receives a line about each.
     """
     runs = [RunFolder.open(path) for path in run_folders(paths, note, comparisons=comparisons)]
-    some = [run for run in runs if isinstance(run.fields, Field)]
+    some = [
+        run
+        for run in runs
+        if isinstance(run.fields, Field) or (finished and run.config.get("tier") is not None)
+    ]
     for run in runs:
         if some and run not in some:
             note(f"left out: {run.path}, trained on random fields")
@@ -177,7 +231,7 @@ class Results:
     """Finished runs that may be compared: each label on each field with equally many seeds."""
 
     looks: Mapping[str, int]  # the labels in order, with the numbers of their looks in figures
-    fields: tuple[str, ...]  # names, in order
+    fields: tuple[str, ...]  # names or tiers, in order
     cells: Mapping[tuple[str, str], tuple[RunRecord, ...]]  # of each label and field, by seed
     # The error of each run that diverged, by its name. Its label is not in ``cells``: the runs
     # that are left of it would be too good.
@@ -195,12 +249,12 @@ class Results:
             raise ConfigError("comparison", ["runs: there is none"])
         looks = ordered({one.label: one.config["algorithm"] for one in records})
         looks = {label: looks[label] for label in [*order, *looks] if label in looks}
-        fields = tuple(sorted({one.field.name for one in records}))
+        fields = tuple(sorted({one.place for one in records}))
         cells: dict[tuple[str, str], list[RunRecord]] = {
             place: [] for place in itertools.product(looks, fields)
         }
         for one in sorted(records, key=lambda one: int(one.config["seed"])):
-            cells[one.label, one.field.name].append(one)
+            cells[one.label, one.place].append(one)
         if problems := [*_unequal_seeds(cells), *_unequal_settings(records, looks)]:
             raise ConfigError("comparison", problems)
         return cls(looks, fields, {at: tuple(cell) for at, cell in cells.items()}, broken or {})
@@ -219,21 +273,20 @@ class Results:
     def of_field(self, field: str) -> dict[str, tuple[RunRecord, ...]]:
         return {label: self.cells[label, field] for label in self.looks}
 
-    def returns(
-        self, label: str, kind: Literal["stochastic", "deterministic"] = "stochastic"
-    ) -> NDArray[np.float64]:
-        """Final mean returns of a label with sampled or mean actions (reward), (fields, seeds)."""
-        finals = [one.final(kind, "return_mean") for one in self.of_label(label)]
-        return np.array(finals).reshape(len(self.fields), -1)
+    @property
+    def records(self) -> list[RunRecord]:
+        return [one for cell in self.cells.values() for one in cell]
+
+    def spl(self, label: str) -> NDArray[np.float64]:
+        """SPL of a label's runs with sampled actions, (fields, seeds); all must have a bound."""
+        found = [one.row["spl"] for one in self.of_label(label)]
+        return np.array(found, float).reshape(len(self.fields), -1)
 
     @property
-    def optima(self) -> dict[str, float]:
-        """The proved best return (reward units) of each field with one that all labels share."""
-        found = {
-            name: {runs[0].optimum for runs in self.of_field(name).values()} for name in self.fields
-        }
-        alike = {name: optimum for name, (optimum, *others) in found.items() if not others}
-        return {name: optimum for name, optimum in alike.items() if optimum is not None}
+    def bounded(self) -> list[str]:
+        """The fields on which all runs have a proved bound."""
+        unknown = {one.place for one in self.records if one.row["spl"] is None}
+        return [name for name in self.fields if name not in unknown]
 
     def on(self, fields: Collection[str]) -> Results:
         cells = {place: cell for place, cell in self.cells.items() if place[1] in fields}
@@ -269,11 +322,16 @@ def _unequal_settings(records: Sequence[RunRecord], labels: Collection[str]) -> 
     for label in labels:
         own = [one for one in records if one.label == label]
         yield from _differences(own, f"runs labelled {label}", values(LEARNER))
+
+    def seedless(one: RunRecord) -> Field | FieldSampler:
+        fields = one.fields
+        return fields if isinstance(fields, Field) else fields.model_copy(update={"seed": 0})
+
     firsts: dict[str, RunRecord] = {}
     for one in records:
-        if (first := firsts.setdefault(one.field.name, one)).field != one.field:
+        if seedless(first := firsts.setdefault(one.place, one)) != seedless(one):
             places = f"{first.run.path} and {one.run.path}"
-            yield f"fields: {places} have different fields of the name {one.field.name}"
+            yield f"fields: {places} have different fields of the name {one.place}"
 
 
 def _differences(

@@ -22,7 +22,6 @@ from baselines.sweep.run import check_outcomes, train_runs
 from baselines.training.run_logger import Listener, find_wandb
 from baselines.training.train import prepare
 from mbn_marl.errors import ConfigError, collecting
-from mbn_marl.field import load_field
 
 
 def train_all_runs(
@@ -47,7 +46,6 @@ def train_all_runs(
     problems: list[str] = []
     for run in {(run.shown_as, run.field): run for run in runs}.values():  # whatever the seed
         with collecting(problems):
-            load_field(run.field)  # results are of one field each
             find_algorithm(run.algorithm).check(*prepare(run))
     if problems:
         raise ConfigError("comparison", problems)

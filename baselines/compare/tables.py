@@ -1,86 +1,87 @@
-"""The tables of a comparison."""
+"""The tables of a comparison, in the order of SPL."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from rich.console import Console
 
 from baselines.compare.summary import Comparison, Numbers
 from baselines.compare.text_table import TextTable, shown
 
-FORMS = "C: centralised, one policy moves the team; D: decentralised, each robot its own. "
-OF_AGGREGATES = FORMS + (
-    "Scores are true returns as shares of the field's proved optimum. pass: runs whose final "
-    "return is 100 000 or more, with 99 % of the sampled episodes and all with mean actions "
-    "successful. IQM: interquartile mean of all runs, with its 95 % interval by stratified "
-    "bootstrap; gap: the optimality gap, how far runs fall short of 1 on average, with sampled and "
-    "with mean actions; to 100k: as per field."
+OF_FIELDS = (
+    "C: centralised, one policy moves the team; D: decentralised, each robot its own. sees: all, a "
+    "planner's assignment, or its own sight. pass: runs with 99 % success, with sampled and with "
+    "mean actions. gap: makespan over the proved bound with mean actions, median of the runs that "
+    "pass. SPL: bound / makespan of an episode, 0 for a failure, mean over sampled episodes and "
+    "seeds with its 95 % interval. to pass: env-steps until the first evaluation that passes; runs "
+    "that never do count with their whole budget. return: with sampled actions."
 )
-OF_IMPROVEMENT = (
-    "How likely a run of the row has a higher return with sampled actions than a run of the column "
-    "on the same field, mean over all fields; equal returns count half."
+OF_AGGREGATES = (
+    "As per field, but pass with the Wilson interval; gap, mean over fields; SPL, the "
+    "interquartile mean of all runs with its stratified bootstrap interval; worst tenth: mean SPL "
+    "of the lowest tenth of the runs."
 )
-OF_FIELDS = FORMS + (
-    "Fresh episodes with sampled actions, mean over seeds; the interval is the 95 % bootstrap over "
-    "seeds. mean actions: the return without sampling. to 100k: until the first fresh evaluation "
-    "at 100 000 or more, mean of the runs that got there (how many did)."
+OF_PAIRS = (
+    "Difference of mean SPL over fields in points, with its interval by stratified bootstrap; p by "
+    "permuting labels within each field, corrected by Holm over these pairs."
 )
+HEADINGS = ("algo", "sees", "C/D", "pass", "gap", "success", "success,\nmean")
 
 
 def print_comparison(comparison: Comparison, console: Console) -> None:
     console.print(comparison.question, markup=False)
     console.print(comparison.verdict, "\n", markup=False)
-    for title, table in field_tables(comparison).items():
-        replace(table, caption="").print(title, console)
-    console.print(OF_FIELDS, "\n")
-    for title, table in overall_tables(comparison).items():
+    for title, table in (field_tables(comparison) | overall_tables(comparison)).items():
         table.print(title, console)
         console.print()
 
 
 def field_tables(comparison: Comparison) -> dict[str, TextTable]:
-    """Return a table for each field, by title."""
-    headings = (
-        *("algo", "C/D", "return", "interval\n(x 1000)", "success", "make-\nspan"),
-        *("of\nopti-\nmum", "mean\nactions", "steps to\n100k"),
-    )
-    tables = {}
+    """Return a table for each field, by title; the first one says what columns mean."""
+    headings = (*HEADINGS, "SPL", "interval", "SPL,\nmean", "makespan", "return", "to pass")
+    tables: dict[str, TextTable] = {}
     for field, rows in _by_field(comparison.rows).items():
         steps = " or ".join(f"{steps:,}" for steps in sorted({row["env_steps"] for row in rows}))
-        title = f"{field}: {steps} env-steps a run, {_counted(rows[0]['seeds'], 'seed')} each"
+        title = f"{field}: {steps} env-steps a run, {_counted(rows[0]['runs'], 'seed')} each"
         lines = [
             (
-                row["label"],
-                _letter(row),
+                *_begin(row, f"{row['passed']}/{row['runs']}"),
+                shown(row["spl"], "{:.1%}"),
+                _ends(row, "spl"),
+                shown(row["deterministic_spl"], "{:.1%}"),
+                shown(row["deterministic_makespan"], "{:.1f}"),
                 shown(row["return_mean"]),
-                _ends(1000.0, row["return_low"], row["return_high"]),
-                f"{row['success_rate']:.1%}",
-                shown(row["makespan"], "{:.1f}"),
-                shown(row["optimum_share"], "{:.1%}"),
-                shown(row["deterministic_return"]),
-                _steps_to_threshold(row, row["seeds"]),
+                _to_pass(row),
             )
             for row in rows
         ]
-        tables[title] = TextTable(OF_FIELDS, headings, lines)
+        tables[title] = TextTable("" if tables else OF_FIELDS, headings, lines, words=2)
     return tables
 
 
 def overall_tables(comparison: Comparison) -> dict[str, TextTable]:
-    tables = {}
+    tables: dict[str, TextTable] = {}
     if comparison.aggregates:
         first = comparison.aggregates[0]
-        fields, seeds = _counted(first["fields"], "field"), _counted(first["seeds"], "seed")
-        tables[f"Over {fields}, {seeds} each"] = _aggregates(comparison)
-    if len(comparison.looks) > 1:
+        seeds = _counted(first["runs"] // first["fields"], "seed")
+        title = f"Over {_counted(first['fields'], 'field')}, {seeds} each"
+        tables[title] = _aggregates(comparison)
+    if comparison.pairs:
+        known = [one["detectable"] for one in comparison.pairs if one["detectable"] is not None]
+        caption = OF_PAIRS
+        if known:
+            least, most = 100 * min(known), 100 * max(known)
+            caption += f" Shown in 80 % of such comparisons: {least:.1f} to {most:.1f} points."
         lines = [
-            (ours, *(f"{than[one].value:.0%}" if one in than else "-" for one in comparison.looks))
-            for ours, than in comparison.probability_of_improvement.items()
+            (
+                *(one["better"], one["worse"], f"{100 * one['difference']:.1f}"),
+                *(_ends(one, "difference"), f"{one['p_holm']:.2g}"),
+            )
+            for one in comparison.pairs
         ]
-        table = TextTable(OF_IMPROVEMENT, ("", *comparison.looks), lines)
-        tables["Probability of improvement"] = table
+        headings = ("ahead", "behind", "points", "interval", "p (Holm)")
+        tables["Differences of SPL"] = TextTable(caption, headings, lines, words=2)
     return tables
 
 
@@ -90,46 +91,45 @@ def _by_field(rows: Sequence[Numbers]) -> dict[str, list[Numbers]]:
 
 
 def _aggregates(comparison: Comparison) -> TextTable:
-    left_out = ", ".join(comparison.fields_without_proved_optimum)
+    left_out = ", ".join(comparison.fields_without_bound)
     caption = OF_AGGREGATES + (
-        f" Left out, without one proved optimum for all: {left_out}." if left_out else ""
+        f" Left out, without a proved bound for all: {left_out}." if left_out else ""
     )
-    headings = (
-        *("algo", "C/D", "pass", "IQM", "interval", "gap", "gap,\nmean", "success"),
-        *("steps to\n100k", "s to\n100k"),
-    )
-    lines = []
-    for one in comparison.aggregates:
-        runs = one["seeds"] * one["fields"]
-        lines.append(
-            (
-                one["label"],
-                _letter(one),
-                f"{one['passed']}/{runs}",
-                f"{one['iqm'].value:.1%}",
-                _ends(0.01, *one["iqm"][1:]),
-                f"{one['gap'].value:.2%}",
-                f"{one['deterministic_gap'].value:.2%}",
-                f"{one['success_rate']:.1%}",
-                _steps_to_threshold(one, runs),
-                shown(one["seconds_to_threshold"], "{:.1f}"),
-            )
+    headings = (*HEADINGS, "SPL\n(IQM)", "interval", "worst\ntenth", "return", "to pass")
+    lines = [
+        (
+            *_begin(
+                one,
+                f"{one['passed']}/{one['runs']}\n{_ends(one, 'pass')} %",
+            ),
+            f"{one['iqm']:.1%}",
+            _ends(one, "iqm"),
+            f"{one['worst_tenth']:.1%}",
+            shown(one["return_mean"]),
+            _to_pass(one),
         )
-    return TextTable(caption, headings, lines)
+        for one in comparison.aggregates
+    ]
+    return TextTable(caption, headings, lines, words=2)
 
 
-def _letter(numbers: Numbers) -> str:
-    return str(numbers["form"])[0].upper()
+def _begin(numbers: Numbers, passed: str) -> tuple[str, ...]:
+    """Return the cells below ``HEADINGS``."""
+    rates = (numbers[f"{way}success_rate"] for way in ("", "deterministic_"))
+    return (
+        *(numbers["label"], numbers["information"], numbers["form"][0].upper(), passed),
+        *(shown(numbers["gap"], "{:.1%}"), *map("{:.1%}".format, rates)),
+    )
 
 
-def _steps_to_threshold(numbers: Numbers, runs: int) -> str:
-    steps = numbers["env_steps_to_threshold"]
-    thousands = shown(steps and steps / 1000.0, "{:,.0f}k")
-    return f"{thousands} {numbers['reached']}/{runs}"
+def _to_pass(numbers: Numbers) -> str:
+    never = numbers["never_passed"]
+    return f"{numbers['env_steps_to_pass'] / 1000:,.0f}k" + (f", {never} never" if never else "")
 
 
-def _ends(unit: float, low: float | None, high: float | None) -> str:
-    return "-" if low is None or high is None else f"{low / unit:.1f}..{high / unit:.1f}"
+def _ends(numbers: Numbers, name: str) -> str:
+    low, high = numbers[f"{name}_low"], numbers[f"{name}_high"]
+    return "-" if low is None or high is None else f"{100 * low:.1f}..{100 * high:.1f}"
 
 
 def _counted(number: int, noun: str) -> str:

@@ -18,7 +18,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 from baselines.algorithms import find_algorithm
 from baselines.training.config import TrainConfig, default_label, read_blocks, validate
 from mbn_marl.errors import ConfigError, FieldError, collecting
-from mbn_marl.field import load_field
+from mbn_marl.field import FieldSampler, load_fields
 
 
 class Variant(BaseModel):
@@ -76,8 +76,13 @@ LEAST_STEPS, STEPS_PER_VISITOR = 655_360, 100_000
 
 
 def proposed_steps(fields: Sequence[str]) -> int:
-    """Return a budget for these fields in env-steps; errors as :func:`load_field`."""
-    sizes = [len(field.starts) * len(field.rois) for field in map(load_field, fields)]
+    """Return a budget for these fields in env-steps; errors as :func:`load_fields`."""
+    sizes = [
+        one.robots[1] * one.rois[1]
+        if isinstance(one, FieldSampler)
+        else len(one.starts) * len(one.rois)
+        for one in map(load_fields, fields)
+    ]
     return max([LEAST_STEPS, *(STEPS_PER_VISITOR * size for size in sizes)])
 
 
@@ -90,7 +95,9 @@ class CompareConfig:
             crossq under setting A, crossq under N. By default two centralised and two
             decentralised ones with the same observations, training aids and budget; ppo:A is the
             paper's PPO.
-        fields: names of `mbn fields`, or paths of field files.
+        fields: names of `mbn fields`, or paths of field files; or random_convex, random_shapes or
+            a sampler file, alone and with a tier.
+        tier: the frozen fields that runs on random fields are evaluated on, such as 1-convex.
         seeds: one run per algorithm, field and seed.
         steps: the budget of every run in env-steps; by default 100,000 for each robot and ROI of
             the largest field, and at least 655,360.
@@ -108,6 +115,7 @@ class CompareConfig:
         Variant(algorithm="ippo"),
     )
     fields: tuple[str, ...] = ("field_03",)
+    tier: str | None = None
     seeds: tuple[int, ...] = (0, 1, 2)
     steps: int = None  # type: ignore[assignment]  # replaced by the fields' own
     evaluate_every: int = 32_768
@@ -116,9 +124,14 @@ class CompareConfig:
     def __post_init__(self) -> None:
         """Check everything before the first run starts; fill in the budget."""
         problems: list[str] = []
-        if self.steps is None:
-            with suppress(FieldError):  # the runs below name every field that is wrong
+        with suppress(FieldError):  # the runs below name every field that is wrong
+            if self.steps is None:
                 object.__setattr__(self, "steps", proposed_steps(self.fields))
+            random = [one for one in self.fields if isinstance(load_fields(one), FieldSampler)]
+            if self.tier is None and random:
+                problems.append(f"tier: {random[0]} is random fields, and needs one")
+            if self.tier is not None and (len(random) != 1 or len(self.fields) != 1):
+                problems.append("tier: allowed with one name of random fields, and no other field")
         algorithms = [variant.name for variant in self.variants]
         lists = {"algorithms": algorithms, "fields": self.fields, "seeds": self.seeds}
         for name, values in lists.items():
@@ -146,7 +159,8 @@ class CompareConfig:
         return itertools.product(self.seeds, self.fields, self.variants)
 
     def _run(self, seed: int, field: str, variant: Variant) -> TrainConfig:
-        budget = {name: getattr(self, name) for name in ("steps", "evaluate_every", "episodes")}
+        names = ("steps", "evaluate_every", "episodes", "tier")
+        budget = {name: getattr(self, name) for name in names}
         return variant.training(field, seed, **budget)
 
     def to_json(self) -> dict[str, Any]:

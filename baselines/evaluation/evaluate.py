@@ -109,7 +109,7 @@ def evaluate(
     fields: Any = place
     if isinstance(place, Sequence) and not isinstance(place, str):
         bounds = [one.makespan_lower_bound for one in place] * episodes
-        episodes, fields = len(bounds), [one.field for one in place] * episodes
+        episodes, fields = len(bounds), [one.field for one in place]
     engine = BatchEngine(fields, episodes, seed=seed, threads=1, **settings)
     running = np.ones(episodes, dtype=bool)
     results: dict[str, np.ndarray] = {}

@@ -15,8 +15,9 @@ from baselines.compare import curves
 from baselines.compare.curves import Pair, Panel
 from baselines.compare.records import ordered
 from baselines.compare.text_table import DASH
+from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published, tables
-from baselines.paper.tables import KINDS, MISSING
+from baselines.paper.tables import KINDS, MISSING, PAGE
 from baselines.paper.trainings import ROWS_FILE, RUNS_FILE, Trainings, find_trainings
 from baselines.runs.files import Place, RunError, read_text, write_provenance, write_text
 from mbn_marl.field import load_field
@@ -58,21 +59,18 @@ def write_report(
     for name, figure in drawn.items():
         if figure is not None:
             figures.save(figure, place.folder / f"{name}.png")
-    texts = {}
     for kind in KINDS:
         same = [table for table in tables.paper_tables(trainings) if table.kind == kind]
         write_text(place.folder / f"{kind}s.csv", tables.write_csv(same))
         latex = [table.text().latex(f"tab:{kind}s-{table.sample}") for table in same]
         write_text(place.folder / f"{kind}s.tex", "\n".join(latex))
-        texts[f"{kind}s"] = "\n\n".join(table.text().markdown() for table in same)
     write_provenance(place.folder, command)
-    write_text(place.page, _page(trainings, texts, {**drawn, **copied}, place, command, preface))
+    write_text(place.page, _page(trainings, {**drawn, **copied}, place, command, preface))
     return place
 
 
 def _page(
     trainings: Trainings,
-    texts: Mapping[str, str],
     drawn: Mapping[str, object],
     place: Place,
     command: str,
@@ -90,11 +88,11 @@ def _page(
         summary = SETTINGS[setting].summary
         return summary if setting in published.SETTINGS else f"ours: {summary}"
 
+    (first,) = (one for one in tables.paper_tables(trainings) if (one.kind, one.sample) == PAGE)
     reported = {name: meaning(name) for name in published.REPORTED}
     shown = [picture(f"curves_{one}", f"Setting {one}: {text}") for one, text in reported.items()]
     pairs = [picture(f"A_against_{name}", f"Setting A against {name}") for name in OTHERS]
     page = Template((files(__package__) / "page.md").read_text(encoding="utf-8")).substitute(
-        texts,
         notes=preface,
         source=published.SOURCE,
         command=command,
@@ -104,6 +102,7 @@ def _page(
         tables=links(TABLES),
         runs=links([RUNS_FILE, ROWS_FILE]),
         coverage=tables.coverage(trainings).markdown(),
+        algorithms=first.text(("mean",)).markdown(),
         ranking=tables.ranking(trainings).markdown(),
         reached=tables.reached(trainings).markdown(),
         success=tables.success(trainings).markdown(),
@@ -114,7 +113,6 @@ def _page(
             for name, title in (("history", "History"), ("importances", "Importances"))
         ),
         overview=picture("fields", "The ten fields, each to its scale"),
-        commands="\n".join(trainings.runs.command),
     )
     return page if preface else page.replace("\n\n\n\n", "\n\n", 1)
 
@@ -137,7 +135,8 @@ def learning_curves(trainings: Trainings, setting: str) -> Figure | None:
             panels[field] = Panel(found, trainings.optimum(field))
     looks = ordered({name: name for name in trainings.algorithms})
     shown = {published.display_name(name): look for name, look in looks.items()}
-    return curves.learning_curves(panels, shown, "return of training episodes, moving mean")
+    subject = "return of training episodes, moving mean"
+    return curves.learning_curves(panels, shown, subject, RETURN_THRESHOLD)
 
 
 def against(trainings: Trainings, first: str, second: str) -> Figure | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +41,8 @@ SAMPLES = {
 }
 """The evaluations that a number is taken over: in words, and how; by the end of LaTeX's label."""
 
+
+PAGE = ("algorithm", "means")  # the kind and the sample that the page shows
 
 KINDS = {
     "algorithm": (
@@ -87,7 +89,7 @@ class PaperTable:
         column = self.cells.xs((setting, source), level=("setting", "source"))["mean"]
         return column.dropna().sort_values(ascending=False, kind="stable")
 
-    def text(self) -> TextTable:
+    def text(self, statistics: Sequence[str] = tuple(STATISTICS)) -> TextTable:
         title, _, unit, unit_name, digits = KINDS[self.kind]
 
         def word(number: float, source: str) -> str:
@@ -96,19 +98,16 @@ class PaperTable:
             return f"{number:,.{digits}f}"
 
         wide = (self.cells / unit).stack(future_stack=True).unstack(["setting", "source"])
-        order = MultiIndex.from_product([self.cells.index.unique("row"), STATISTICS])
+        order = MultiIndex.from_product([self.cells.index.unique("row"), statistics])
         lines = [
             (
-                self._shown(name) if statistic == "mean" else "",
+                self._shown(name) if statistic == statistics[0] else "",
                 statistic,
                 *(word(numbers[column], column[1]) for column in COLUMNS),
             )
             for (name, statistic), numbers in wide.reindex(order).iterrows()
         ]
-        caption = (
-            f"{title}, in units of {unit_name}, the paper's and ours; 'here' is over "
-            f"{SAMPLES[self.sample][0]}."
-        )
+        caption = f"{title}, in units of {unit_name}; 'here' is over {SAMPLES[self.sample][0]}."
         headings = (f"{' '.join(column)}{marked(column[0])}" for column in COLUMNS)
         return TextTable(caption, (self.kind, "", *headings), lines, words=2)
 
@@ -153,77 +152,72 @@ def coverage(trainings: Trainings) -> TextTable:
         steps = " to ".join(dict.fromkeys(map(_short, ends)))
         return f"{len(runs)} x {steps}" + (f", {unfinished} unfinished" if unfinished else "")
 
-    caption = "Runs x env-steps of each; a run is a seed. The paper: one seed x 5M in every cell."
-    return _per_cell(trainings, caption, cell)
+    caption = "Runs x env-steps of each. The paper has one seed of 5M for each of ten fields."
+    return _per_setting(trainings, caption, cell)
 
 
 def success(trainings: Trainings) -> TextTable:
     def cell(runs: DataFrame) -> str:
-        if not runs.finished.any():
-            return MISSING
-        return f"{runs.success_rate.mean():.0%}, {runs.return_mean.mean():,.0f}"
+        return f"{runs.success_rate.mean():.0%}" if runs.finished.any() else MISSING
 
+    fields = trainings.field_names
+    table = trainings.runs.groupby(CELL).apply(cell, include_groups=False).unstack()
+    index = MultiIndex.from_product([trainings.algorithms, published.REPORTED])
+    table = table.reindex(index.intersection(table.index, sort=False), columns=fields)
+    lines = [
+        (published.display_name(name), setting, *cells)
+        for (name, setting), *cells in table.fillna(MISSING).itertuples()
+    ]
     caption = (
-        "After training: share of fresh episodes with sampled actions that visited every ROI, and "
-        "their mean reward, both over seeds. The paper has no such numbers."
+        "Success of the trained policies in fresh episodes with sampled actions, mean over seeds. "
+        "The paper has no such numbers."
     )
-    return _per_cell(trainings, caption, cell)
+    return TextTable(caption, ("algorithm", "setting", *fields), lines, words=2)
 
 
 def reached(trainings: Trainings) -> TextTable:
-
     def cell(runs: DataFrame) -> str:
         hits = runs.reach.count()
         return f"{hits} of {len(runs)}" + (f", soonest {_short(runs.reach.min())}" if hits else "")
 
-    table = trainings.runs.groupby(CELL[:2]).apply(cell, include_groups=False).unstack()
-    table = table.reindex(trainings.algorithms, columns=list(published.REPORTED)).fillna(MISSING)
-    lines = [(published.display_name(name), *cells) for name, *cells in table.itertuples()]
     caption = (
-        f"Runs whose moving mean of 100 training episodes reached {RETURN_THRESHOLD:,.0f}, once so "
-        "many had ended, of all runs of that algorithm and setting on any field, and the env-steps "
-        "of the soonest. In the paper only CrossQ does so under A within 500k env-steps."
+        f"Runs whose moving mean of 100 training episodes reached {RETURN_THRESHOLD:,.0f}, and the "
+        "env-steps of the soonest. In the paper only CrossQ reaches it under A within 500k."
     )
-    headings = (f"{setting}{marked(setting)}" for setting in published.REPORTED)
-    return TextTable(caption, ("algorithm", *headings), lines)
+    return _per_setting(trainings, caption, cell)
 
 
 def ranking(trainings: Trainings) -> TextTable:
     alike = trainings.alike()
-    tables = [table for table in paper_tables(alike) if table.kind == "algorithm"]
+    (table,) = (one for one in paper_tables(alike) if (one.kind, one.sample) == PAGE)
     lines = []
     for setting in published.SETTINGS:
         fields = set(alike.runs.field[alike.runs.setting == setting]) & set(published.FIELDS)
-        for table in tables:
-            paper, here = table.means(setting, "paper"), table.means(setting, "here")
-            here = here[here.index.isin(paper.index)]
-            tau = kendalltau(paper[here.index], here).statistic if len(here) > 1 else None
-            orders = (" > ".join(map(published.display_name, side.index)) for side in (paper, here))
-            agreement = MISSING if tau is None else f"{tau:.2f}"
-            words = (*orders, agreement, ", ".join(sorted(fields)))
-            sample = SAMPLES[table.sample][0]
-            lines.append((setting, sample, *(word or MISSING for word in words)))
+        paper, here = table.means(setting, "paper"), table.means(setting, "here")
+        here = here[here.index.isin(paper.index)]
+        orders = [" > ".join(map(published.display_name, side.index)) for side in (paper, here)]
+        agreement = [MISSING, MISSING]
+        if len(here) > 1:
+            agreement = [f"{number:.2f}" for number in kendalltau(paper[here.index], here)]
+        words = (*orders, *agreement, ", ".join(sorted(fields)))
+        lines.append((setting, *(word or MISSING for word in words)))
     caption = (
-        "Algorithms by their mean, best first: in the paper over its ten fields, here over the "
-        "fields that all algorithms with a run of the setting have. Those without a run are left "
-        "out here. Kendall's tau is 1 for the same order and -1 for the reverse."
+        "Algorithms by their mean, best first; 'here' by moving means over the fields that all of "
+        "them have. Kendall's tau is 1 for the same order and -1 for the reverse; p is its "
+        "probability by chance."
     )
-    headings = ("setting", "here: over", "paper", "here", "Kendall's tau", "fields here")
-    return TextTable(caption, headings, lines, words=4)
+    headings = ("setting", "paper", "here", "Kendall's tau", "p", "fields here")
+    return TextTable(caption, headings, lines, words=3)
 
 
-def _per_cell(trainings: Trainings, caption: str, shown: Callable[[DataFrame], str]) -> TextTable:
-    fields = trainings.field_names
-    index = MultiIndex.from_product([trainings.algorithms, published.REPORTED])
-    table = trainings.runs.groupby(CELL).apply(shown, include_groups=False).unstack()
-    table = table.reindex(index, columns=fields)
-    papers = index.get_level_values(0).isin(published.ALGORITHMS)
-    table = table[papers | table.notna().any(axis=1)].fillna(MISSING)
-    lines = [
-        (published.display_name(name), setting, *cells)
-        for (name, setting), *cells in table.itertuples()
-    ]
-    return TextTable(caption, ("algorithm", "setting", *fields), lines, words=2)
+def _per_setting(
+    trainings: Trainings, caption: str, shown: Callable[[DataFrame], str]
+) -> TextTable:
+    table = trainings.runs.groupby(CELL[:2]).apply(shown, include_groups=False).unstack()
+    table = table.reindex(trainings.algorithms, columns=list(published.REPORTED)).fillna(MISSING)
+    lines = [(published.display_name(name), *cells) for name, *cells in table.itertuples()]
+    headings = (f"{setting}{marked(setting)}" for setting in published.REPORTED)
+    return TextTable(caption, ("algorithm", *headings), lines)
 
 
 def _short(steps: float) -> str:

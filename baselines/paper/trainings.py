@@ -137,7 +137,7 @@ def _of_record(record: RunRecord) -> _Training:
     row = {
         **cell,
         "env_steps": int(progress.env_steps.max()) if len(progress) else 0,
-        "optimum": optimal_return(record.field),
+        "optimum": optimal_return(record.run.field),
         "reach": first_reach(progress, RETURN_THRESHOLD),
         **{name: final.get(name) for name in ("success_rate", "return_mean")},
         "finished": run.finished,

@@ -26,9 +26,11 @@ if TYPE_CHECKING:  # the planner's packages are an extra
     Controller = Greedy | Tracker | Replanner
 
 Empty = tuple[int, ...]
-
-# The names of these policies.
-CLASSICAL = ("greedy", "planner", "replan")
+# The names of these policies, and what they want of the environment.
+CLASSICAL: Mapping[str, Mapping[str, Any]] = {
+    **{"greedy": {}, "planner": {}, "replan": {}},
+    "greedy-local": {"observation": "lidar_local"},
+}
 # Settings that ``replan`` does not plan with: it finds out.
 UNSEEN = ("wind", "gust", "gust_time", "failures", *OF_ACTIONS, *OF_SIGHT)
 
@@ -92,6 +94,10 @@ def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Poli
 
     config = make_config({**settings, "decoys": 0})  # the engine knows which ROIs are empty
     problem = make_problem(field, config, closed_loop=name != "planner")
+    if name == "greedy-local":
+        from baselines.policies.greedy_local import GreedyLocal
+
+        return GreedyLocal(problem)
     if name == "greedy":
         return ControllerPolicy(problem, lambda _: Greedy(problem))
     hidden = UNSEEN if name == "replan" else ()

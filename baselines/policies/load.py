@@ -97,7 +97,7 @@ class Source:
         source = Source(f"{PREFIX}{place.name}") if self.name == ZOO else self
         name = self.name if place is None else f"{self.name} in {place.name}"
         policy: Any = RandomPolicy(seed)
-        brought: Mapping[str, Any] = {}
+        brought = CLASSICAL.get(self.name, {})
         if source.run is not None:
             policy, brought = source._trained, source.run.config["environment"]
             if place is None and isinstance(home := source.run.fields, Field):

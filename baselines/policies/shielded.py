@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from baselines.policies.policy import Policy, Wrapped
+from baselines.algorithms import find_algorithm
+from baselines.policies.information import information
+from baselines.policies.policy import Policy, RandomPolicy, Wrapped
+from baselines.runs.folder import RunFolder
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
 
@@ -16,6 +20,16 @@ if TYPE_CHECKING:  # the planner's packages are an extra
 
 def behind(shield: bool) -> str:
     return " + shield" if shield else ""
+
+
+def information_of(policy: Policy, settings: Mapping[str, Any], run: RunFolder | None) -> str:
+    """Return what tables call the input of a policy, of a ``run`` if it was trained."""
+    if isinstance(policy, Shielded) or policy.observes == "state":
+        return "state"
+    if isinstance(policy, RandomPolicy):
+        return "-"
+    form = None if run is None else find_algorithm(run.config["algorithm"]).form
+    return information(settings, centralized=form == "centralized")
 
 
 class Shielded(Wrapped):

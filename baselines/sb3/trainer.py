@@ -3,7 +3,6 @@
 import inspect
 import math
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import asdict
 from numbers import Real
 from pathlib import Path
@@ -124,7 +123,7 @@ class ResumableARS(ARS):
 class Learner:
     def __init__(self, task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow) -> None:
         config = task.config
-        self._algorithm, self._steps, self._aids = config.algorithm, config.steps, hyperparameters
+        self._algorithm, self._aids = config.algorithm, hyperparameters
         self._worlds, env = make_env(task, hyperparameters, episodes)
         self.stride = self._worlds.stride  # the library counts a step of each row
         set_random_seed(config.seed, using_cuda=config.device == "cuda")
@@ -133,7 +132,6 @@ class Learner:
         self.model: Any = (ResumableARS if kind is ARS else kind)(
             hyperparameters.policy, env, device=config.device, **model_arguments(hyperparameters)
         )
-        self._repeat, self._gamma = 1, getattr(self.model, "gamma", 1.0)
         self._worlds.every = getattr(self.model, "n_steps", 1)
 
     @property
@@ -148,17 +146,6 @@ class Learner:
     def diagnostics(self) -> dict[str, float]:
         curriculum = self._worlds.curriculum
         return {"roi_radius": curriculum.radius} if curriculum.first > 1.0 else {}
-
-    def begin_rollout(self) -> None:
-        """Set the env-steps of the next rollout's decisions, and the discount of a decision."""
-        if self._aids.action_repeat == (1, 1):
-            return
-        self._repeat = self._aids.repeat_at(self.env_steps / self._steps)
-        self._worlds.set_attr("action_repeat", self._repeat)
-        self.model.gamma = self.model.rollout_buffer.gamma = self._gamma**self._repeat
-
-    def count_repeats(self) -> None:
-        self.model.num_timesteps += (self._repeat - 1) * self._worlds.num_envs
 
     @property
     def policy(self) -> SB3Policy:
@@ -193,7 +180,7 @@ class Learner:
         }
         write_json(folder / COUNTERS, counters)
 
-    def restore(self, checkpoint: Path) -> None:
+    def restore(self, checkpoint: Path, began: int) -> None:
         model, counters = self.model, read_json(checkpoint / COUNTERS)
         model._setup_learn(0)  # makes what is filled here
         self.begin_with(checkpoint / "policy")
@@ -214,7 +201,7 @@ class Learner:
                 raise ValueError(f"{REPLAY}: pos {buffer.pos}; allowed: below buffer_size")
         for name in COUNTED:
             setattr(model, name, int(counters[name]))
-        saved_at(checkpoint, self.env_steps)
+        saved_at(checkpoint, began + self.env_steps)
         for name in LOGGED:
             getattr(model, name).extend(counters[name])
         model.action_space.np_random.bit_generator.state = counters["actions"]
@@ -224,10 +211,6 @@ class Learner:
 def _transitions(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
     arrays = {name: value for name, value in vars(buffer).items() if isinstance(value, np.ndarray)}
     return {name: array for name, array in arrays.items() if len(array) == buffer.buffer_size}
-
-
-class Passed(Exception):  # noqa: N818
-    """A fresh evaluation met the run's criterion: not every learner can be stopped otherwise."""
 
 
 class Reporter(BaseCallback, KVWriter):
@@ -241,15 +224,11 @@ class Reporter(BaseCallback, KVWriter):
 
     def _on_rollout_start(self) -> None:
         self._report()
-        if self._recorder.passed:
-            raise Passed
         if self._recorder.checkpoint_due:
             learner = self._learner
             self._recorder.save_checkpoint(learner.env_steps, learner.policy, learner.save)
-        self._learner.begin_rollout()
 
     def _on_step(self) -> bool:
-        self._learner.count_repeats()
         return True
 
     def _on_training_end(self) -> None:
@@ -269,7 +248,7 @@ class Reporter(BaseCallback, KVWriter):
             for name, value in key_values.items()
             if "tensorboard" not in key_excluded[name] and isinstance(value, Real)
         }
-        self._recorder.scalars(step // self._learner.stride, values)
+        self._recorder.scalars(self._recorder.began + step // self._learner.stride, values)
 
     def close(self) -> None:
         pass  # the recorder does
@@ -280,7 +259,7 @@ def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
     model, stride = learner.model, learner.stride
     if recorder.checkpoint is not None:
         with reading(recorder.checkpoint):
-            learner.restore(recorder.checkpoint)
+            learner.restore(recorder.checkpoint, recorder.began)
     elif task.config.transferred_from is not None:
         learner.begin_with(RunFolder.open(task.config.transferred_from).policy)
     reporter = Reporter(recorder, learner)
@@ -288,13 +267,12 @@ def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
     log_interval = 4  # episodes, or updates of ARS; below rollouts
     if isinstance(model, OnPolicyAlgorithm):
         log_interval = math.ceil(ROW_STEPS * stride / (model.n_steps * model.n_envs))
-    with suppress(Passed):
-        model.learn(
-            task.config.steps * stride - model.num_timesteps,
-            callback=reporter,
-            log_interval=log_interval,
-            reset_num_timesteps=recorder.checkpoint is None,
-        )
+    model.learn(
+        task.config.steps * stride - model.num_timesteps,
+        callback=reporter,
+        log_interval=log_interval,
+        reset_num_timesteps=recorder.checkpoint is None,
+    )
     recorder.finish(learner.env_steps, learner.policy)
 
 
@@ -321,5 +299,5 @@ def budget(task: Task, hyperparameters: SB3Config) -> Budget:
         longest = rounds * make_config(task.settings).max_steps
         return Budget(steps - 1 + longest, f"updates from {episodes} whole episodes", exact=False)
     length = model["n_steps"] if issubclass(library, OnPolicyAlgorithm) else model["train_freq"]
-    rounded = hyperparameters.rounded_up(steps, length * worlds)
-    return Budget(rounded, f"rollouts of {length} steps in {worlds} worlds")
+    rollout = length * worlds
+    return Budget(-(-steps // rollout) * rollout, f"rollouts of {length} steps in {worlds} worlds")

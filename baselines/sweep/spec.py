@@ -50,7 +50,6 @@ class Budget(_Strict):
     steps: Count | None = None
     evaluate_every: Count = 32_768
     episodes: Count = 100
-    stop_at: float | None = None
 
 
 class Resources(_Strict):

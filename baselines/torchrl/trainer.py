@@ -83,7 +83,8 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
 
 
 def budget(task: Task, hyperparameters: MultiAgentPPOConfig) -> Budget:
-    env_steps = hyperparameters.rounded_up(task.config.steps, hyperparameters.decisions)
+    decisions = hyperparameters.decisions
+    env_steps = -(-task.config.steps // decisions) * decisions
     steps, worlds = hyperparameters.rollout_steps, hyperparameters.num_worlds
     return Budget(env_steps, f"rollouts of {steps} decisions in {worlds} worlds")
 
@@ -125,9 +126,8 @@ class Teacher:
         self._policy = policy.fit(self.env.engine)
         self._now = self.env.reset()
 
-    def actions(self, rollout: TensorDictBase, repeat: int) -> torch.Tensor:
+    def actions(self, rollout: TensorDictBase) -> torch.Tensor:
         """Return the mean actions (W, T, n, 2) for a rollout (W, T) that follows the last one."""
-        self.env.action_repeat = repeat
         answers = []
         for taken in rollout[Key.ACTION].unbind(1):
             seen = self._now[Key.OBSERVATION].numpy(force=True)
@@ -232,9 +232,8 @@ class Trainer:
             theirs: Any = load_trained(open_run(str(source)))
             self.network.load_state_dict(theirs.network.state_dict())
         self.recorder.start()
-        while env_steps < self.task.config.steps and not self.recorder.passed:
+        while env_steps < self.task.config.steps:
             progress = env_steps / self.task.config.steps
-            self.env.action_repeat = repeat = config.repeat_at(progress)
             for group in self.optimizer.param_groups:
                 group["lr"] = between(config.learning_rate, progress)
             self.network.log_std.data.clamp_(max=config.cap_at(progress))
@@ -242,9 +241,9 @@ class Trainer:
             rollout = next(self.rollouts).copy()
             collected = time.perf_counter()
             if not (imitating := progress < config.imitation_until):
-                self._estimate(rollout, repeat)
+                self._estimate(rollout)
             weight = 1.0 if imitating else between(config.teacher_weight, progress)
-            losses = self._descend(self._samples(rollout, repeat), weight)
+            losses = self._descend(self._samples(rollout), weight)
             self.network.norm.update(rollout[Key.OBSERVATION])
             diagnostics = {
                 "rollout_seconds": collected - started,
@@ -258,38 +257,37 @@ class Trainer:
             self.curriculum.add(successes)
             if self.curriculum.move():
                 self._collect_from(self._make_env())
-            env_steps += config.decisions * repeat
+            env_steps += config.decisions
             self.recorder.update(env_steps, policy, diagnostics | losses)
             if self.recorder.checkpoint_due:
                 save = partial(self._save, env_steps)
                 self.recorder.save_checkpoint(env_steps, policy, save)
-        if not self.recorder.passed:  # a policy that passed stays as it is
-            self.network.amplify(config.final_gain)
+        self.network.amplify(config.final_gain)
         self.recorder.finish(env_steps, policy)
 
     @torch.no_grad()
-    def _estimate(self, rollout: TensorDictBase, repeat: int) -> None:
+    def _estimate(self, rollout: TensorDictBase) -> None:
         # An episode cut off by the time limit bootstraps from the value of its last
         # observation, rollout["next"], never from that of the next episode's first.
         self.critic(rollout)
         self.critic(self.network.norm(rollout["next"]))
         rollout[self.reward] *= self.config.reward_scale
-        self.estimator.gamma.fill_(self.config.gamma**repeat)
         if self.tokens is not None and self.config.shaping:
             rollout[self.reward] += self.config.shaping * self._shaped(rollout, self.tokens)
         self.estimator(rollout)
         advantage = rollout["advantage"]
-        if self.env.engine.teams_vary:  # the rows of absent robots say nothing
-            there = rollout[Key.OBSERVATION].any(-1, keepdim=True)
-            known = advantage[there]
-            rollout["advantage"] = (advantage - known.mean()) / (known.std() + 1e-8) * there
-            rollout["value_target"] *= there
-        else:
-            rollout["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        works = torch.ones_like(advantage, dtype=torch.bool)
+        if self.env.engine.may_rest and self.config.actor == "decentralized":
+            # The actions of robots that have failed, or are not in the team, have no effect.
+            works = rollout[Key.MASK].unsqueeze(-1)
+        known = advantage[works]
+        rollout["advantage"] = (advantage - known.mean()) / (known.std() + 1e-8) * works
+        if self.env.engine.teams_vary:
+            rollout["value_target"] *= rollout[Key.OBSERVATION].any(-1, keepdim=True)
 
-    def _samples(self, rollout: TensorDictBase, repeat: int) -> TensorDictBase:
+    def _samples(self, rollout: TensorDictBase) -> TensorDictBase:
         if self.teacher is not None:
-            rollout[Key.TEACHER] = self.teacher.actions(rollout, repeat)
+            rollout[Key.TEACHER] = self.teacher.actions(rollout)
         kept = (Key.NORMALIZED, Key.ACTION, Key.LOG_PROB, "advantage", "value_target")
         return rollout.select(*kept, Key.TEACHER, strict=False).reshape(-1)
 
@@ -361,4 +359,5 @@ class Trainer:
                 self.teacher.load_state(read_arrays(folder / TEACHER_WORLDS))
             # Last, since a new collector tries the policy.
             tensors.restore_generators(counters["generators"])
-            return saved_at(folder, counters["env_steps"])
+            began = self.recorder.began
+            return saved_at(folder, began + counters["env_steps"]) - began

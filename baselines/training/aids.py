@@ -1,4 +1,4 @@
-"""Aids of training, which evaluations do without: large ROIs, long decisions, short episodes."""
+"""Aids of training, which evaluations do without: large ROIs, other starts, short episodes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,8 +19,6 @@ Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]
 NonNegative = Annotated[float, pydantic.Field(ge=0.0, allow_inf_nan=False)]
 
-# From this share of training on a decision lasts as long as at the end.
-REPEAT_UNTIL = 0.4
 # The stages in which ROIs shrink to their true size.
 STAGES = 10
 # ROIs grow by a stage below the first success rate, and shrink by one from the second on.
@@ -75,9 +73,6 @@ class RoiCurriculum:
 class TrainingAids(Hyperparameters):
     # The learner sees the reward times this.
     reward_scale: Positive = 1.0
-    # Env-steps that a decision lasts, from and to, falling linearly (rounded). Evaluations always
-    # decide at every step.
-    action_repeat: tuple[Count, Count] = (1, 1)
     # ROIs are so many times as large at first in training, 1 for no curriculum.
     roi_radius: Annotated[float, pydantic.Field(ge=1.0, allow_inf_nan=False)] = 1.0
     # The share of the worlds whose robots start anywhere in the field, elsewhere at every stage,
@@ -86,18 +81,6 @@ class TrainingAids(Hyperparameters):
     scattered: Share = 0.0
     # Training episodes are truncated after so many env-steps, if not before.
     episode_steps: Count | None = None
-
-    def repeat_at(self, progress: float) -> int:
-        """The env-steps of a decision at ``progress``, the share of training done, in [0, 1]."""
-        return round(between(self.action_repeat, progress / REPEAT_UNTIL))
-
-    def rounded_up(self, steps: int, decisions: int) -> int:
-        """The env-steps of as many rollouts of ``decisions`` as a budget of ``steps`` takes."""
-        env_steps, last = 0, self.action_repeat[1]
-        while env_steps < steps and (repeat := self.repeat_at(env_steps / steps)) != last:
-            env_steps += decisions * repeat
-        rollout = decisions * last
-        return env_steps + max(0, -(-(steps - env_steps) // rollout)) * rollout
 
     def in_training(self, task: Task, curriculum: RoiCurriculum, worlds: int) -> dict[str, Any]:
         """The environment's arguments in training: ``field``, one for all worlds or one each."""

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import math
 import re
 import shlex
 from collections.abc import Mapping, Sequence
@@ -64,9 +63,6 @@ class TrainConfig:
     evaluate_every: int = 32_768
     # Stochastic episodes of an evaluation.
     episodes: int = 100
-    # Stop before the end of the budget, at the first fresh evaluation with this mean return
-    # (reward) and 99 % success, if all episodes with mean actions succeed too.
-    stop_at: float | None = None
     # For random fields: evaluate on the frozen fields of this tier of the benchmark, on the way on
     # those of the split validation, at the end on those of test.
     tier: str | None = None
@@ -131,9 +127,7 @@ def problems_of(request: Mapping[str, Any]) -> list[str]:
         if (value := request.get(name)) is not None
         and not (type(value) is int and least <= value <= most)
     ]
-    stop_at, label = request.get("stop_at"), request.get("label")
-    if not (stop_at is None or (isinstance(stop_at, float | int) and math.isfinite(stop_at))):
-        problems.append(f"stop_at: must be finite (got {stop_at!r})")
+    label = request.get("label")
     if not (label is None or (isinstance(label, str) and LABEL.fullmatch(label))):
         allowed = "letters, digits, _ . + -, the first a letter or digit"
         problems.append(f"label: {label!r}; allowed: {allowed}")
@@ -169,6 +163,9 @@ class Hyperparameters(pydantic.BaseModel):
     source: str = pydantic.Field("", repr=False)
     # The algorithm's own settings of the environment.
     environment: dict[str, Any] = pydantic.Field(default_factory=dict)
+    # So many learners begin one after the other, each with an equal part of the budget. The best
+    # policy of all counts: the order in which a team visits ROIs is settled early, and at random.
+    learners: Annotated[int, pydantic.Field(ge=1)] = 1
     # Values of the source that the algorithm has no argument for; without effect.
     skipped: dict[str, Any] = pydantic.Field(default_factory=dict, repr=False)
 

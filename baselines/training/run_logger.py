@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any
 
@@ -18,7 +19,6 @@ from torch.utils.tensorboard import SummaryWriter
 
 from baselines.console import console
 from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, Place, evaluate, unseen
-from baselines.evaluation.intervals import passes
 from baselines.policies.load import load_trained
 from baselines.policies.policy import TrainedPolicy
 from baselines.runs.files import read_json, reading, write_json
@@ -132,9 +132,8 @@ class Recorder:
         self.checkpoint = folder.checkpoint
         # Then the trainer should call save_checkpoint as soon as it is between two updates.
         self.checkpoint_due = False
-        # Then a fresh evaluation met the criterion for stopping: the trainer calls finish.
-        self.passed = False
         self._folder, self._task, self._listener = folder, task, listener
+        self._name = task.config.name
         self._diagnostics: Mapping[str, float] = {}
         self._started_at = self._wall_started_at = 0.0
         with reading((self.checkpoint or folder.path) / "recorder.json"):
@@ -143,10 +142,15 @@ class Recorder:
             self._seconds = self._saved_at = float(state.get("seconds", 0.0))
             self._wall_seconds = float(state.get("wall_seconds", 0.0))
             self._evaluations: list[dict[str, Any]] = list(state.get("evaluations", []))
+            # The learners that have ended, and the env-steps that they took.
+            self.learner, self.began = int(state.get("learner", 0)), int(state.get("began", 0))
             # The rank of the best policy so far, and its env-steps.
             self._best: list[float] = state.get("best", NO_POLICY)
+            # The files of the best policy so far.
+            self._kept = TemporaryDirectory()
+            if self.checkpoint is not None:
+                shutil.copytree(self.checkpoint / BEST, self._kept.name, dirs_exist_ok=True)
             folder.cut_progress(int(state.get("progress_bytes", 0)))
-        self._is_best = False
         write_json(folder.path / "evaluations.json", self._evaluations)
         # A resumed run is logged to the same one, whose id is in the folder.
         self._wandb: Any = None
@@ -160,7 +164,12 @@ class Recorder:
         events = folder.path / "tensorboard"
         self._board = SummaryWriter(events, purge_step=self._last_row + 1)
 
+    def begin(self, task: Task) -> None:
+        """Record another learner; it counts its env-steps from 0."""
+        self._task = task
+
     def scalars(self, env_steps: int, values: Mapping[str, float]) -> None:
+        """Log numbers of a step of the run: those of all its learners are counted."""
         for name, value in values.items():
             self._board.add_scalar(name, value, env_steps)
         if self._wandb is not None:
@@ -180,18 +189,16 @@ class Recorder:
         self._diagnostics = diagnostics
         config = self._task.config
         every, last = config.evaluate_every, env_steps >= config.steps
+        env_steps += self.began
         evaluation_due = env_steps // every > self._last_row // every and not last
         if env_steps - self._last_row < ROW_STEPS and not evaluation_due:
             return
         self._write_row(env_steps)
         if evaluation_due:
-            sampled, mean = self._evaluate_on_the_way(env_steps, policy)
-            rates = (one.summary()["success_rate"] for one in (sampled, mean))
-            good = np.mean(sampled.returns) >= (config.stop_at or 0.0)
-            self.passed = config.stop_at is not None and bool(good) and passes(*rates)
+            self._evaluate_on_the_way(env_steps, policy)
         slow = self._seconds - self._saved_at >= CHECKPOINT_SECONDS
         due = self.checkpoint_due or evaluation_due or slow
-        self.checkpoint_due = due and not (last or self.passed)
+        self.checkpoint_due = due and not last
         if not last:
             self._report(env_steps)
         self.start()
@@ -203,30 +210,31 @@ class Recorder:
         # ``save`` writes what the trainer needs to resume into a folder.
         self._stop()
         self._board.flush()
+        env_steps += self.began
         with self._folder.new_checkpoint(env_steps) as folder:
             policy.save(folder / "policy")
-            if self._is_best:
-                policy.save(folder / BEST)
-            elif self.checkpoint is not None and (self.checkpoint / BEST).exists():
-                shutil.copytree(self.checkpoint / BEST, folder / BEST)
+            shutil.copytree(self._kept.name, folder / BEST)
             save(folder)
-            size = {"progress_bytes": self._folder.progress_bytes}
-            evaluated = {"evaluations": self._evaluations, "best": self._best}
-            write_json(folder / "recorder.json", {**self._times(env_steps), **size, **evaluated})
-        self.checkpoint, self.checkpoint_due, self._is_best = self._folder.checkpoint, False, False
+            state = {**self._times(env_steps), "learner": self.learner, "began": self.began}
+            state |= {"progress_bytes": self._folder.progress_bytes, "best": self._best}
+            write_json(folder / "recorder.json", {**state, "evaluations": self._evaluations})
+        self.checkpoint_due = False
         self._saved_at = self._seconds
         self.start()
 
     def finish(self, env_steps: int, policy: TrainedPolicy) -> None:
-        if env_steps > self._last_row:
-            self._write_row(env_steps)
-        if not self.passed:  # else it was just evaluated
-            self._evaluate_on_the_way(env_steps, policy)
+        """Record the end of a learner."""
+        self.began += env_steps
+        if self.began > self._last_row:
+            self._write_row(self.began)
+        self._evaluate_on_the_way(self.began, policy)
+        self.checkpoint, self.learner = None, self.learner + 1
+
+    def conclude(self) -> None:
+        """Keep the best policy of all learners, and measure it."""
+        env_steps = self.began
         with self._folder.new_policy() as place:
-            if self._is_best or self.checkpoint is None:
-                policy.save(place)
-            else:
-                shutil.copytree(self.checkpoint / BEST, place, dirs_exist_ok=True)
+            shutil.copytree(self._kept.name, place, dirs_exist_ok=True)
         # The best of several measurements looks better than it is: it is measured again.
         sampled, mean = self._measure(load_trained(self._folder), FINAL_TIMES, EVALUATION_SEED)
         self._board.close()
@@ -272,12 +280,10 @@ class Recorder:
         )
         return sampled, mean
 
-    def _evaluate_on_the_way(
-        self, env_steps: int, policy: TrainedPolicy
-    ) -> tuple[Evaluation, Evaluation]:
+    def _evaluate_on_the_way(self, env_steps: int, policy: TrainedPolicy) -> None:
         # The seed is that of the evaluation's number, in every run the same.
         number = 1 + len(self._evaluations)
-        sampled, mean = both = self._measure(policy, 1, EVALUATION_SEED + number)
+        sampled, mean = self._measure(policy, 1, EVALUATION_SEED + number)
         entry = {**self._times(env_steps), **sampled.summary()}
         for name in ("return_mean", "success_rate", "makespan", "gap", "spl"):
             entry[f"deterministic_{name}"] = mean.summary()[name]
@@ -285,15 +291,15 @@ class Recorder:
         rates = entry["success_rate"], entry["deterministic_success_rate"]
         rank = [min(rates), sampled.pace + mean.pace]
         if rank >= self._best[:2]:
-            self._best, self._is_best = [*rank, env_steps], True
+            self._best = [*rank, env_steps]
+            policy.save(Path(self._kept.name))
         self._evaluations.append(entry)
         names = ("success_rate", "return_mean", "collision_rate", "rois_visited")
         self.scalars(env_steps, {f"evaluation/{name}": entry[name] for name in names})
         write_json(self._folder.path / "evaluations.json", self._evaluations)
-        return both
 
     def _report(self, env_steps: int, *, finished: bool = False) -> None:
         last = self._evaluations[-1] if self._evaluations else {}
         speed = env_steps / self._seconds if self._seconds else 0.0
         results = (last.get(name) for name in ("success_rate", "makespan"))
-        self._listener(Report(self._task.config.name, env_steps, finished, speed, *results))
+        self._listener(Report(self._name, env_steps, finished, speed, *results))

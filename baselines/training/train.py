@@ -3,9 +3,11 @@
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from baselines.algorithms import find_algorithm
 from baselines.policies.load import CARD, PREFIX, open_run
@@ -55,7 +57,11 @@ def train(
         run = begin(out, resolve(task, hyperparameters), task.field, command)
         if not run.finished:
             try:
-                algorithm.train(task, hyperparameters, Recorder(run, task, listener, wandb))
+                recorder = Recorder(run, task, listener, wandb)
+                for number in range(recorder.learner, hyperparameters.learners):
+                    recorder.begin(part := part_of(task, hyperparameters, number))
+                    algorithm.train(part, hyperparameters, recorder)
+                recorder.conclude()
             except ValueError as error:
                 if isinstance(error, MbnError) and not isinstance(error, ActionError):
                     raise
@@ -75,14 +81,22 @@ def notes(config: TrainConfig) -> list[str]:
         f"skipped: {argument} = {value}, since {name} has no such argument"
         for argument, value in hyperparameters.skipped.items()
     ]
-    budget = find_algorithm(name).budget(task, hyperparameters)
-    if budget.env_steps > steps:
+    budget = find_algorithm(name).budget(part_of(task, hyperparameters, 0), hyperparameters)
+    if (whole := budget.env_steps * hyperparameters.learners) > steps:
         bound = "" if budget.exact else "up to "
         lines.append(
             f"steps: {name} learns from whole {budget.unit}, so this run takes "
-            f"{bound}{budget.env_steps:,} env-steps, not {steps:,}"
+            f"{bound}{whole:,} env-steps, not {steps:,}"
         )
     return lines
+
+
+def part_of(task: Task, hyperparameters: Hyperparameters, number: int) -> Task:
+    """Return the task of a learner of a run: a share of the budget, and a seed of its number."""
+    steps, seed = -(-task.config.steps // hyperparameters.learners), task.config.seed
+    if number:
+        seed = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
+    return replace(task, config=replace(task.config, steps=steps, seed=seed))
 
 
 def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:

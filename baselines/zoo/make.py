@@ -6,12 +6,11 @@ from typing import Any
 
 from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both, unseen
 from baselines.policies.load import CARD, load_trained
+from baselines.policies.shielded import information_of
 from baselines.runs.files import RunError, read_json, replacing_folder, write_json
 from baselines.runs.folder import RunFolder
-from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import Field, catalogue_names, sampler_names, save_field
-from mbn_marl.optimum import optimal_return
+from mbn_marl.field import catalogue_names, sampler_names, save_field
 
 EPISODES = 100
 # Bytes of an entry's files together.
@@ -54,9 +53,7 @@ def make_card(run: RunFolder, name: str) -> dict[str, Any]:
         "seconds": trained["seconds"],
         "command": plain_command(run.command),
         "versions": read_json(run.path / "versions.json"),
-        "optimum": optimal_return(fields, make_config(config["environment"]))
-        if isinstance(fields, Field)
-        else None,
+        "information": information_of(where[0], where[2], run),
         **{key: evaluation.summary() for key, evaluation in evaluations.items()},
     }
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from pydantic import BaseModel, ConfigDict
 from tyro.conf import Positional
 
-from baselines.cli.compare import train_and_compare
+from baselines.cli.compare import WRITTEN, train_and_compare
 from baselines.cli.options import CORES
 from baselines.compare.variants import CompareConfig, labelled
 from baselines.training.config import validate
@@ -28,7 +28,8 @@ class Plan(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     fields: tuple[str, ...] = tuple(catalogue_names())
-    seeds: tuple[int, ...]  # 100 and up, where nothing was tuned
+    tier: str | None = None  # of random fields
+    seeds: tuple[int, ...]  # 200 and up, where nothing was tuned
     steps: int = STEPS
     evaluate_every: int = 65_536
     variants: dict[str, dict[str, Any]]  # the values of ``Variant``, by label
@@ -70,10 +71,10 @@ class Study(Benchmark):
     def config(self) -> CompareConfig:
         plan = self.plan
         variants = labelled(plan.variants, self.study)
-        return CompareConfig(variants, plan.fields, plan.seeds, plan.steps, plan.evaluate_every)
+        return CompareConfig(variants, **plan.model_dump(exclude={"variants"}))
 
     def run(self, command: str) -> bool:
         options = {name: getattr(self, name) for name in ("processes", "force", "resume")}
         train_and_compare(self.config(), self.folder, command=command, **options)
-        print(f"written to {self.folder}: comparison.md, comparison.json, figures, runs")
+        print(f"written to {self.folder}: {WRITTEN}")
         return True

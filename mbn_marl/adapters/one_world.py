@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from operator import index
 from typing import Any, Unpack
 
 import gymnasium
@@ -54,23 +53,6 @@ class LazyViewer:
         if self._viewer is not None:
             self._viewer.close()
             self._viewer = None
-
-
-class ActionRepeat:
-    """The attribute ``action_repeat``, at least 1; another value is a ``ConfigError``."""
-
-    def __get__(self, env: Any, kind: type) -> Any:
-        return self if env is None else vars(env)["_action_repeat"]
-
-    def __set__(self, env: Any, value: int) -> None:
-        try:
-            number = index(value)
-        except TypeError:
-            number = 0
-        if number < 1:
-            problem = f"action_repeat: must be a whole number, at least 1 (got {value!r:.80})"
-            raise ConfigError(type(env).__name__, [problem])
-        vars(env)["_action_repeat"] = number
 
 
 class OneWorld:

@@ -27,7 +27,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from mbn_marl.adapters.one_world import RENDER_FPS, ActionRepeat, LazyViewer, check_central
+from mbn_marl.adapters.one_world import RENDER_FPS, LazyViewer, check_central
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, Fields
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
@@ -55,20 +55,16 @@ class NavigationVecEnv(VecEnv):
         seed: of all worlds, until ``seed()`` gives another.
         threads: of the engine; ``None`` takes as many as there are cores.
         render_mode: ``"rgb_array"`` draws the world of row 0, or ``None``.
-        action_repeat: env-steps of a step (>= 1), all with the same action; rewards add up. A world
-            that ends rests until the step is over. ``set_attr("action_repeat", k)`` changes it.
         **settings: the fields of ``NavigationConfig``.
 
     Attributes:
         engine: the engine; read it, but let only this object step and reset it.
-        action_repeat: as given.
 
     Raises:
         FieldError: the field is not valid.
-        ConfigError: a setting or ``action_repeat`` is not valid.
+        ConfigError: a setting is not valid.
     """
 
-    action_repeat = ActionRepeat()
     _return: str  # the metric that is a row's return
 
     def __init__(
@@ -79,10 +75,8 @@ class NavigationVecEnv(VecEnv):
         seed: int = 0,
         threads: int | None = None,
         render_mode: str | None = None,
-        action_repeat: int = 1,
         **settings: Unpack[Settings],
     ) -> None:
-        self.action_repeat = action_repeat
         self._viewer = LazyViewer(render_mode, ("rgb_array",))
         self.render_mode = render_mode
         self.engine = BatchEngine(
@@ -140,7 +134,7 @@ class NavigationVecEnv(VecEnv):
         self._actions = np.reshape(actions, (engine.num_worlds, engine.n_robots, 2))
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Step every world ``action_repeat`` times; worlds that end are reset at once.
+        """Step every world; those that end are reset at once.
 
         Returns:
             Observations, rewards float32 ``(num_envs,)``, dones bool ``(num_envs,)`` and infos, all
@@ -154,16 +148,12 @@ class NavigationVecEnv(VecEnv):
         if self._actions is None:
             raise StepError("step_wait: no actions; call step_async(actions) after a reset first")
         actions, self._actions = self._actions, None
-        engine, rewards = self.engine, np.zeros(self.num_envs, np.float32)
+        engine = self.engine
         infos: list[dict[str, Any]] = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
-        ended = np.zeros(engine.num_worlds, np.bool_)
-        for number in range(self.action_repeat):
-            running = ~ended if number else None
-            observations, own, terminated, truncated = engine.step(actions, running)
-            rewards += self._rewards(own)
-            if (ending := terminated | truncated).any():
-                self._close_episodes(infos, ending, truncated & ~terminated, observations)
-                ended |= ending
+        observations, own, terminated, truncated = engine.step(actions)
+        rewards = self._rewards(own)
+        if (ended := terminated | truncated).any():
+            self._close_episodes(infos, ended, truncated & ~terminated, observations)
         flags = {"failed": engine.failed} if engine.config.failures else {}
         flags |= {"present": engine.present} if engine.teams_vary else {}
         for name, flag in flags.items():
@@ -256,13 +246,11 @@ class CentralizedVecEnv(NavigationVecEnv):
         seed: int = 0,
         threads: int | None = None,
         render_mode: str | None = None,
-        action_repeat: int = 1,
         joint_observation: bool = False,
         **settings: Unpack[Settings],
     ) -> None:
         self._joint = joint_observation
         how: dict[str, Any] = {"seed": seed, "threads": threads, "render_mode": render_mode}
-        how["action_repeat"] = action_repeat
         super().__init__(field, num_envs, **how, **settings)
 
     def _row(self) -> tuple[int, spaces.Box, spaces.Box]:

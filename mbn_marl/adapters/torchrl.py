@@ -12,7 +12,6 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from mbn_marl.adapters.one_world import ActionRepeat
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, Fields
 from mbn_marl.engine.validation import as_array
@@ -86,25 +85,20 @@ class NavigationEnv(EnvBase):
         state: give the entry ``"state"``.
         team_reward: give the entry ``"team_reward"``.
         metrics: the names of the metrics to give, of ``METRICS``; none leaves the entry out.
-        action_repeat: env-steps of a step (>= 1), all with the same action; rewards add up. A world
-            that ends rests until it is reset. May be changed between two steps.
         **settings: the fields of ``NavigationConfig``.
 
     Attributes:
         engine: the engine; look at it, but let only this object step and reset it.
         n_agents: robots in a world.
         group_map: the names of the robots in each group, as TorchRL's other environments give it.
-        action_repeat: as given.
 
     Raises:
         FieldError: the field is not valid.
-        ConfigError: a setting, a metric's name or ``action_repeat`` is not valid.
+        ConfigError: a setting or a metric's name is not valid.
 
     Source:
         Choton, Woods, Hsu, section 3: ``"state"`` and ``"team_reward"``.
     """
-
-    action_repeat = ActionRepeat()
 
     def __init__(
         self,
@@ -117,7 +111,6 @@ class NavigationEnv(EnvBase):
         state: bool = True,
         team_reward: bool = True,
         metrics: Sequence[str] = METRICS,
-        action_repeat: int = 1,
         **settings: Unpack[Settings],
     ) -> None:
         unknown = sorted(set(metrics) - set(METRICS))
@@ -142,7 +135,6 @@ class NavigationEnv(EnvBase):
         self._state, self._team_reward, self._measures = state, team_reward, tuple(metrics)
         self._drawn = tuple(f"drawn/{name}" for name in self.engine.config.drawn if metrics)
         self._metrics = self._measures + self._drawn
-        self.action_repeat = action_repeat
         self._no_rows = torch.zeros(0, num_worlds, device=self.device)
         self.n_agents = self.engine.n_robots
         self.group_map = {GROUP: [f"robot_{i}" for i in range(self.n_agents)]}
@@ -244,19 +236,6 @@ class NavigationEnv(EnvBase):
         active = None if mask is None else mask.reshape(-1)
         actions = self._give(tensordict.get((GROUP, "action")))
         outcome = self._advance(actions, active)
-        for _ in range(self.action_repeat - 1):
-            running = ~(outcome.terminated | outcome.truncated)
-            if active is not None:
-                running &= active
-            more = self._advance(actions, running)
-            outcome = _Outcome(
-                more.observations,
-                outcome.terminated | more.terminated,
-                outcome.truncated | more.truncated,
-                outcome.team_reward + more.team_reward,
-                torch.where(running, more.metrics, outcome.metrics),
-                outcome.rewards + more.rewards,
-            )
         made = self._entries(outcome)
         made[GROUP, "reward"] = outcome.rewards.unsqueeze(-1)
         return made

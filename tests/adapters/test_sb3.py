@@ -60,35 +60,27 @@ def test_spaces(kind: type[NavigationVecEnv]) -> None:
 
 @BOTH
 def test_steps_are_the_engines(kind: type[NavigationVecEnv]) -> None:
-    """Against an engine that is stepped and reset by hand, also when actions are repeated."""
     env = kind("field_03", WORLDS, seed=5, **LIVELY)
     engine = BatchEngine("field_03", WORLDS, seed=5, autoreset="disabled", **LIVELY)
     np.testing.assert_array_equal(env.reset(), observed(env, engine, engine.reset()))
-    seen = {"terminated": 0, "truncated": 0, "within a repeat": 0}
-    for number, actions in enumerate(forces(env, 3 * STEPS)):
-        repeat = 1 + number // STEPS
-        env.set_attr("action_repeat", repeat)
+    seen = {"terminated": 0, "truncated": 0}
+    for actions in forces(env, 3 * STEPS):
         observations, rewards, dones, infos = env.step(actions)
-        expected, running = np.zeros(env.num_envs), np.ones(WORLDS, bool)
-        for step in range(repeat):
-            given = actions.reshape(WORLDS, ROBOTS, 2)
-            last, own, terminated, truncated = engine.step(given, running)
-            expected += engine.team_rewards if kind is CentralizedVecEnv else own.reshape(-1)
-            ended, last = terminated | truncated, observed(env, engine, last)
-            rows = by_row(env, ended)
-            check_final_infos(env, infos, rows, engine.metrics())
-            timeouts = by_row(env, truncated & ~terminated)
-            for row in np.flatnonzero(rows):
-                np.testing.assert_array_equal(infos[row]["terminal_observation"], last[row])
-                assert infos[row]["TimeLimit.truncated"] == timeouts[row]
-            running &= ~ended
-            seen["terminated"] += terminated.sum()
-            seen["truncated"] += truncated.sum()
-            seen["within a repeat"] += ended.sum() if step < repeat - 1 else 0
-        np.testing.assert_allclose(rewards, expected, rtol=0.0 if repeat == 1 else 1e-6)
-        np.testing.assert_array_equal(dones, by_row(env, ~running))
+        last, own, terminated, truncated = engine.step(actions.reshape(WORLDS, ROBOTS, 2))
+        expected = engine.team_rewards if kind is CentralizedVecEnv else own.reshape(-1)
+        ended, last = terminated | truncated, observed(env, engine, last)
+        rows = by_row(env, ended)
+        check_final_infos(env, infos, rows, engine.metrics())
+        timeouts = by_row(env, truncated & ~terminated)
+        for row in np.flatnonzero(rows):
+            np.testing.assert_array_equal(infos[row]["terminal_observation"], last[row])
+            assert infos[row]["TimeLimit.truncated"] == timeouts[row]
+        seen["terminated"] += terminated.sum()
+        seen["truncated"] += truncated.sum()
+        np.testing.assert_array_equal(rewards, expected)
+        np.testing.assert_array_equal(dones, rows)
         assert [len(info) > 1 for info in infos] == dones.tolist()
-        following = engine.reset_worlds(~running)
+        following = engine.reset_worlds(ended)
         np.testing.assert_array_equal(observations, observed(env, engine, following))
     assert min(seen.values()) > 5
 
@@ -155,7 +147,6 @@ def test_bad_calls_are_refused_before_anything_moves(kind: type[NavigationVecEnv
         (env.step_wait, StepError, "step_wait: "),
         (lambda: env.step(np.zeros(2)), ActionError, "actions: "),
         (lambda: env.step(bad), ActionError, r"world 4.*robot_2"),
-        (lambda: env.set_attr("action_repeat", 0), ConfigError, "action_repeat: "),
         (lambda: kind("field_03", 4, render_mode="human"), ConfigError, "render_mode: "),
         (lambda: env.set_attr("label", "other", indices=[0]), MbnError, "label"),
     ):

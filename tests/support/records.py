@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +11,14 @@ from baselines.compare.variants import CompareConfig, Variant
 from baselines.runs.files import write_json
 from baselines.runs.folder import RunFolder
 from mbn_marl.config import NavigationConfig
-from mbn_marl.field import Field, load_field
+from mbn_marl.field import Field, load_fields
 
-OPTIMA = {"field_01": 158_800.0, "field_03": 159_490.0}
+BOUND = 20  # steps
 
 TINY: Mapping[str, Any] = {
     "num_worlds": 4,
     "rollout_steps": 16,
     "hidden": [8],
-    "action_repeat": [1, 1],
 }
 CONFIG = CompareConfig(
     variants=tuple(
@@ -34,44 +33,61 @@ CONFIG = CompareConfig(
 )
 
 
-def _made_up(share: float, field: Field, seed: int) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    best = share * OPTIMA.get(field.name, 150_000.0)
-    always = float(share > 0.7)
-    final = {
-        "env_steps": 400,
-        "seconds": 10.0 + seed,
-        "stochastic": {"return_mean": best / 2, "success_rate": share, "makespan": 20.0},
-        "deterministic": {"return_mean": best, "success_rate": always, "makespan": None},
-    }
-    passed = 1e5 if share > 0.7 else 0.0
-    returns = ((100, -5.0), (300, passed), (400, best / 2))
-    history = [
-        {"env_steps": steps, "seconds": steps / 100, "return_mean": mean} for steps, mean in returns
-    ]
-    return history, final
+def _measured(spl: float, success: float, bounded: bool) -> dict[str, Any]:
+    makespan = BOUND * success / spl if success else None
+    gap = None if makespan is None else makespan / BOUND - 1.0
+    bounds = {"gap": gap, "spl": success and spl} if bounded else {"gap": None, "spl": None}
+    mean = 150_000.0 * success
+    return {"success_rate": success, "makespan": makespan, "return_mean": mean, **bounds}
 
 
 def make_run(
     folder: Path,
-    share: float = 0.5,
+    spl: float = 0.5,
     *,
-    recorded: tuple[list[dict[str, Any]], dict[str, Any]] | None = None,
+    bounded: bool = True,
     field_object: Field | None = None,
     **changes: Any,
 ) -> RunRecord:
-    """A finished run whose mean actions reach ``share`` of the optimum, sampled ones half of it."""
+    """A finished run, which passes from 300 of 400 env-steps on if ``spl`` is more than 0.7.
+
+    Others have a success rate of ``spl`` at the bound, and of half of it with mean actions.
+    """
     request = {"algorithm": "mappo", "setting": "N", "label": None, "field": "field_03", "seed": 0}
-    budget = {"steps": 400, "evaluate_every": 100, "episodes": 2}
+    budget = {"steps": 400, "evaluate_every": 100, "episodes": 2, "tier": None}
     learning = {
         "environment": NavigationConfig().model_dump(mode="json"),
         "hyperparameters": {"gamma": 0.99},
     }
     config = {**request, **budget, **learning, **changes}
-    field = field_object or load_field(config["field"])
+    fields = field_object or load_fields(config["field"])
     label = config["label"] or config["algorithm"]
-    path = folder / f"{label}-{field.name}-{config['seed']}-{len(list(folder.iterdir()))}"
-    run = RunFolder.create(path, config, field, "mbn train")
-    history, final = recorded or _made_up(share, field, config["seed"])
-    write_json(path / "evaluation.json", final)
+    field_name = Path(config["field"]).stem
+    path = folder / f"{label}-{field_name}-{config['seed']}-{len(list(folder.iterdir()))}"
+    run = RunFolder.create(path, config, fields, "mbn train")
+    passes = spl > 0.7
+    sampled = _measured(spl, 1.0 if passes else spl, bounded)
+    mean = sampled if passes else _measured(spl / 2, spl / 2, bounded)
+    none = _measured(spl, 0.0, bounded)
+    final = {"env_steps": 400, "policy_env_steps": 300, "seconds": 10.0 + config["seed"]}
+    write_json(path / "evaluation.json", {**final, "stochastic": sampled, "deterministic": mean})
+    history = [
+        {
+            **{"env_steps": steps, "seconds": steps / 100, **one},
+            **{f"deterministic_{name}": value for name, value in other.items()},
+        }
+        for steps, one, other in ((100, sampled, none), (300, sampled, mean), (400, sampled, mean))
+    ]
     write_json(path / "evaluations.json", history)
     return RunRecord.read(run)
+
+
+def make_runs(
+    folder: Path, scores: Mapping[str, Sequence[float]], **changes: Any
+) -> list[RunRecord]:
+    """Runs of algorithms with the SPL of each seed."""
+    return [
+        make_run(folder, spl, algorithm=name, seed=seed, **changes)
+        for name, found in scores.items()
+        for seed, spl in enumerate(found)
+    ]

@@ -20,7 +20,7 @@ from baselines.training.config import TrainConfig
 from baselines.training.run_logger import Report
 from baselines.training.train import train
 
-AIDS = {"roi_radius": 4.0, "scattered": 0.5, "action_repeat": [2, 1]}
+AIDS = {"roi_radius": 4.0, "scattered": 0.5}
 STAGES = {**AIDS, "roi_radius": 20.0}
 """ROIs that reach every robot of field_03, so that they shrink after every rollout at first."""
 TEAM = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8, 8], **AIDS}

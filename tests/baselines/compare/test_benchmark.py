@@ -19,19 +19,21 @@ from baselines.compare.benchmark import (
     load_protocol,
     load_tiers,
     numbers,
+    rank,
     result_page,
     result_tables,
     run_benchmark,
 )
-from baselines.evaluation.evaluate import Evaluation, evaluate
+from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
 from baselines.policies import load
 from baselines.policies.load import Source, load_trained
-from baselines.policies.policy import TrainedPolicy
+from baselines.policies.policy import Policy, RandomPolicy, TrainedPolicy
+from baselines.policies.shielded import Shielded, information_of
 from baselines.runs.files import RunError, alone
 from baselines.runs.folder import RunFolder
 from mbn_marl import Field
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import Instance, load_field, splits
+from mbn_marl.field import splits
 from mbn_marl.planning import plan
 from tests.baselines.conftest import Refusal
 from tests.support.frozen import write_split, write_splits
@@ -107,21 +109,22 @@ def test_the_numbers_of_an_instance_worked_out_by_hand() -> None:
         "steps": [24, 36, 7, 1000],
         "wall_hits": [0, 3, 0, 1],
     }
-    found = Evaluation(True, 0, **lists, **ends)
-    one = Instance(load_field("field_03"), "calm", makespan_lower_bound=20, best_known=25)
-    assert numbers(found, one) == {
-        **{"success_rate": 0.5, "clean_rate": 0.25, "collision_rate": 0.25, "wall_hits": 1.0},
-        **{"steps": 266.75, "makespan": 30.0, "makespan_with_failures": 515.0},
-        **{"gap": 0.5, "gap_to_best_known": 30 / 25 - 1, "gap_with_failures": 24.75},
-    }
-    lost = Evaluation(True, 0, **lists, **{**ends, "successes": [False] * 4})
-    in_wind = Instance(one.field, "windy")
-    assert numbers(found, in_wind)["gap"] is None
-    known = numbers(lost, in_wind)
-    assert known["makespan_with_failures"] == 1000.0
-    assert [name for name in METRICS if known[name] is None] == [
-        *("makespan", "gap", "gap_to_best_known", "gap_with_failures")
-    ]
+    found = numbers(Evaluation(True, 0, **lists, **ends, bounds=[20] * 4))
+    assert found == pytest.approx(
+        {
+            **{"spl": (20 / 24 + 20 / 36) / 4, "success_rate": 0.5, "gap": 0.5, "makespan": 30.0},
+            **{"clean_rate": 0.25, "collision_rate": 0.25, "wall_hits": 1.0},
+        }
+    )
+    in_wind = numbers(Evaluation(True, 0, **lists, **ends, bounds=[None] * 4))
+    ends["successes"] = [False] * 4
+    lost = numbers(Evaluation(True, 0, **lists, **ends, bounds=[20] * 4))
+    assert (lost["spl"], lost["gap"], lost["makespan"]) == (0.0, None, None)
+    assert [name for name in METRICS if in_wind[name] is None] == ["spl", "gap"]
+    assert rank(found) > rank(lost)
+    changes = {"makespan": 31.0}, {"success_rate": 0.4, "makespan": 10.0}, {"success_rate": 0.0}
+    ranks = [rank(in_wind | change) for change in ({}, *changes)]
+    assert ranks == sorted(ranks, reverse=True) and len({*ranks}) == 4
 
 
 def test_weights_are_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,18 +140,36 @@ def test_weights_are_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert loads == ["generalist"]
 
 
-def test_each_instance_is_evaluated_with_its_own_seed(tmp_path: Path) -> None:
-    found = run("random", ["1-convex", "5-weather"], tmp_path)["tiers"]
+@pytest.mark.parametrize("source", ["random", "zoo:generalist-hint"])
+def test_each_instance_is_evaluated_with_its_own_seed(source: str, tmp_path: Path) -> None:
+    found = run(source, ["1-convex", "5-weather"], tmp_path)["tiers"]
     for tier, first in (("1-convex", 4_000_000), ("5-weather", 4_004_000)):
         for k, one in enumerate(load_tiers("test", [tier])[tier]):
-            policy = load_policy("random", one.field, seed=first + k, condition=one.condition)
-            how: dict[str, Any] = {"episodes": 10, "seed": first + k}
-            place = policy, one.field, policy.settings
-            row = found[tier]["instances"][k]
-            assert row["mean"] == numbers(evaluate(*place, deterministic=True, **how), one)
-            assert row["sampled"] == numbers(evaluate(*place, **how), one)
+            policy = load_policy(source, one.field, seed=first + k, condition=one.condition)
+            where, row = (policy, [one], policy.settings), found[tier]["instances"][k]
+            same = is_one_episode(policy, policy.settings, deterministic=True)
+            mean = evaluate(*where, episodes=1 if same else 10, deterministic=True, seed=first + k)
+            assert row["mean"] == numbers(mean)
+            if source == "random":
+                assert row["sampled"] is None
+            else:
+                assert row["sampled"] == numbers(evaluate(*where, episodes=10, seed=first + k))
             assert row["times"]["decision_ms"] > 0.0
-    assert found["5-weather"]["mean"]["gap"] is None
+            assert (row["mean"]["spl"] is None) == (tier == "5-weather")
+
+
+@pytest.mark.parametrize(
+    ("policy", "settings", "word"),
+    [
+        (Policy(), {}, "all"),
+        (Policy(), {"observation": "entities", "assignment": "fresh"}, "assignment"),
+        (Policy(), {"observation": "lidar_local"}, "own sight"),
+        (RandomPolicy(), {}, "-"),
+        (Shielded(RandomPolicy()), {}, "state"),
+    ],
+)
+def test_what_a_policy_acts_on(policy: Policy, settings: dict[str, Any], word: str) -> None:
+    assert information_of(policy, settings, None) == word
 
 
 def test_an_interrupted_run_goes_on_and_gives_the_same(
@@ -203,7 +224,7 @@ def test_what_does_not_fit_has_no_number_and_says_why(tmp_path: Path) -> None:
     assert found["tiers"]["1-convex"]["misfit"] is None
     misfit = found["tiers"]["2-sizes"]
     assert "robots: the policy was trained with 3" in misfit["misfit"]
-    assert misfit["instances"] == [] and found["all"] is None
+    assert misfit["instances"] == []
     for table in result_tables(found).values():
         assert table.lines[1] == ("2-sizes", *["-"] * (len(table.headings) - 1))
         assert "2-sizes does not fit: convex-3000001: robots" in table.caption
@@ -232,7 +253,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal
     words = ["benchmark", "greedy", "--tiers", "1-convex", "-o", str(out)]
     assert main(words) == 0
     said = capsys.readouterr().out
-    assert re.search(r"1-convex +2 +100\.0%", said) and f"written to {out}" in said
+    assert re.search(r"1-convex +state +2 +\d\d\.\d%", said) and f"written to {out}" in said
     page = (out / "page.html").read_text()
     for part in ('data-replay="episodes-1-convex"', "median: convex-3000000", "mean actions"):
         assert part in page, part

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pandas
 import pytest
 
 from baselines.cli import main
@@ -45,7 +46,14 @@ def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.M
     config = read_json(second / "config.json")
     assert (config["label"], config["hyperparameters"]["num_worlds"]) == ("ippo-tiny", 4)
     page = tmp_path / "docs" / "found.md"
-    assert main(["report", "--comparison", str(out), "-o", str(page)]) == 0
+    words = ["report", "--comparison", str(out), "-o", str(page)]
+    assert main([*words, "--marl-eval", str(tmp_path / "marl.json")]) == 0
+    tasks = read_json(tmp_path / "marl.json")["mbn_marl"]
+    assert {*tasks["field_03"]["mappo-tiny"]} == {"seed_0", "seed_1"}
+    table = pandas.read_csv(page.parent / "found" / "runs.csv")
+    assert [*table.label] == ["mappo-tiny"] * 2 + ["ippo-tiny"] * 2 and not table.passed.any()
+    curves = pandas.read_csv(page.parent / "found" / "curves.csv")
+    assert [*curves.env_steps[curves.label == "ippo-tiny"]] == [128, 256, 320] * 2
     assert "](found/learning_curves_field_03.png)" in page.read_text()
     reported = read_json(page.parent / "found" / "comparison.json")
     assert {row["label"] for row in reported["rows"]} == {"mappo-tiny", "ippo-tiny"}
@@ -72,8 +80,8 @@ def test_a_learner_that_breaks_down_stops_its_own_run_alone(
         assert place in error and place in (out / "comparison.md").read_text()
         assert (out / f"tame-field_03-seed{seed}" / "evaluation.json").is_file()
     assert {path.name for path in out.iterdir() if path.is_file()} >= {
-        *("aggregates.png", "command.txt", "comparison.md", "config.json", "profiles.png"),
-        *("learning_curves_field_03.png", "table.csv", "versions.json"),
+        *("command.txt", "comparison.md", "config.json", "gaps.png"),
+        *("learning_curves_field_03.png", "table.csv", "runs.csv", "curves.csv", "versions.json"),
     }
     found = read_json(out / "comparison.json")
     assert {row["label"] for row in found["rows"]} == {"tame"}

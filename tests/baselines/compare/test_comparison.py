@@ -9,77 +9,89 @@ from typing import Any
 
 import pytest
 from pandas import DataFrame
+from pytest import approx
 from rich.console import Console
 
+from baselines.compare.curves import draw_gaps
 from baselines.compare.records import Results, find_records
-from baselines.compare.summary import THRESHOLDS, summarise
-from baselines.compare.tables import print_comparison
+from baselines.compare.report import marl_eval_data
+from baselines.compare.summary import summarise
+from baselines.compare.tables import overall_tables, print_comparison
 from baselines.compare.text_table import TextTable, csv_text
-from baselines.runs.files import RunError
-from baselines.runs.folder import RunFolder
+from baselines.runs.files import RunError, write_json
 from mbn_marl.config import NavigationConfig
 from mbn_marl.errors import ConfigError, MbnError
-from mbn_marl.field import Field, load_field, load_fields
-from tests.support.records import make_run
+from mbn_marl.field import Field, load_field, load_split
+from tests.support.records import make_run, make_runs
 
 
 def test_a_comparison_by_hand(tmp_path: Path) -> None:
-    shares = {"field_01": (1.0, 0.5), "field_03": (0.75, 0.25)}
-    results = [
-        make_run(tmp_path, share, field=field, seed=seed)
-        for field, pair in shares.items()
-        for seed, share in enumerate(pair)
-    ]
-    results += [
-        make_run(tmp_path, 0.6, field=field, seed=seed, algorithm="ppo", label="central")
-        for field in shares
-        for seed in (0, 1)
-    ]
-    found = summarise(Results.of(results))
-    row = found.rows[1]
-    for name, value in {
-        **{"label": "mappo", "algorithm": "mappo", "form": "decentralized", "field": "field_01"},
-        **{"seeds": 2, "env_steps": 400, "seconds": 10.5, "makespan": 20.0},
-        **{"optimum": 158_800.0, "optimum_share": 0.375, "return_mean": 59_550.0},
-        **{"return_low": 39_700.0, "return_high": 79_400.0},
-        **{"success_rate": 0.75, "deterministic_success_rate": 0.5},
-        **{"deterministic_return": 0.75 * 158_800.0, "deterministic_best": 158_800.0},
-        **{"reached": 1, "env_steps_to_threshold": 300.0, "seconds_to_threshold": 3.0},
-    }.items():
-        assert row[name] == value, name
-    assert [(entry["label"], entry["field"]) for entry in found.rows] == [
-        (label, field) for field in shares for label in ("central", "mappo")
-    ]
-    central, mappo = found.aggregates
-    # Sampled scores 0.5, 0.25, 0.375, 0.125: the middle two, and the mean shortfall.
-    assert mappo["iqm"].value == pytest.approx(0.3125)
-    assert mappo["gap"].value == pytest.approx(0.6875)
-    assert mappo["deterministic_gap"].value == pytest.approx(0.375)
-    assert (mappo["reached"], mappo["fields"], mappo["seeds"]) == (2, 2, 2)
-    assert (central["form"], central["success_rate"]) == ("centralized", 0.6)
-    # In each field one run of two is above 0.6 of the optimum.
-    assert found.probability_of_improvement["mappo"]["central"].value == 0.5
-    share = dict(zip(THRESHOLDS.round(3), mappo["profile"].share, strict=True))
-    assert (share[0.2], share[0.3], share[0.45]) == (0.75, 0.5, 0.25)
+    scores = {"field_01": (0.8, 0.5), "field_03": (1.0, 0.25)}
+    records = []
+    for field, pair in scores.items():
+        records += make_runs(tmp_path, {"mappo": pair}, field=field)
+        records += make_runs(tmp_path, {"ppo": [0.6, 0.6]}, field=field, label="central")
+    write_json(records[0].run.path / "versions.json", {"git_revision": "abc-dirty"})
+    write_json(records[1].run.path / "versions.json", {"git_revision": "abc"})
+    found = summarise(Results.of(records))
+    order = [(label, field) for field in scores for label in ("mappo", "central")]
+    assert [(row["label"], row["field"]) for row in found.rows] == order
+    assert found.rows[0] == {
+        **{"label": "mappo", "algorithm": "mappo", "form": "decentralized", "information": "all"},
+        **{"field": "field_01", "runs": 2, "env_steps": 400, "seconds": 10.5},
+        **{
+            "passed": 1,
+            "pass_low": approx(0.0945, rel=1e-3),
+            "pass_high": approx(0.9055, rel=1e-3),
+        },
+        **{"gap": approx(0.25), "spl": 0.65, "spl_low": 0.5, "spl_high": 0.8},
+        **{"success_rate": 0.75, "makespan": 22.5, "return_mean": 112_500.0},
+        **{"deterministic_success_rate": 0.625, "deterministic_makespan": 22.5},
+        **{"deterministic_spl": 0.525, "deterministic_return_mean": 93_750.0},
+        **{"env_steps_to_pass": 350.0, "never_passed": 1},
+    }
+    mappo, central = found.aggregates
+    # SPL 0.25, 0.5, 0.8, 1: the middle two, and the lowest. A failure has no gap.
+    assert (mappo["iqm"], mappo["worst_tenth"]) == (approx(0.65), 0.25)
+    assert (mappo["gap"], central["gap"]) == (approx(0.125), None)
+    assert (mappo["passed"], mappo["runs"], mappo["fields"]) == (2, 4, 2)
+    (pair,) = found.pairs
+    assert (pair["better"], pair["worse"]) == ("mappo", "central")
+    assert pair["difference"] == approx(0.0375)
+    names = ("label", "field", "seed", "passed", "first_pass", "policy_env_steps", "clean")
+    runs = {tuple(run[name] for name in names): run["revision"] for run in found.runs}
+    assert runs["mappo", "field_01", 0, True, 300, 300, False] == "abc"
+    assert runs["mappo", "field_01", 1, False, None, 300, True] == "abc"
+    assert len(runs) == 8
 
 
 def test_tables_and_files_hold_the_numbers(tmp_path: Path) -> None:
     (tmp_path / "runs").mkdir()
-    for seed, share in enumerate((1.0, 0.5)):
-        make_run(tmp_path / "runs", share, seed=seed)
-        make_run(tmp_path / "runs", 0.9, seed=seed, label="other")
+    make_runs(tmp_path / "runs", {"mappo": [1.0, 0.5]})
+    make_runs(tmp_path / "runs", {"mappo": [0.8, 0.8]}, label="other")
     out = io.StringIO()
-    comparison = summarise(Results.of(find_records([tmp_path / "runs"])))
+    results = Results.of(find_records([tmp_path / "runs"]))
+    comparison = summarise(results)
     print_comparison(comparison, Console(width=200, file=out))
-    text = out.getvalue()
-    assert "field_03: 400 env-steps a run, 2 seeds each" in text
-    line = next(line for line in text.splitlines() if "25.0..50.0" in line)
-    assert " ".join(line.split()) == "mappo D 0/2 37.5% 25.0..50.0 62.50% 25.00% 75.0% 0k 1/2 3.0"
+    lines = [" ".join(line.split()) for line in out.getvalue().splitlines()]
+    assert "field_03: 400 env-steps a run, 2 seeds each" in lines
+    over_all = "other all D 2/2 25.0% 100.0% 100.0% 80.0% 80.0..80.0 80.0% 150,000 0k"
+    assert lines.index(over_all) < lines.index(
+        "mappo all D 1/2 0.0% 75.0% 62.5% 75.0% 50.0..100.0 50.0% 112,500 0k, 1 never"
+    )
     encoded = json.loads(json.dumps(comparison.to_json(), allow_nan=False))
-    assert encoded["aggregates"][0]["iqm"] == {"value": 0.375, "low": 0.25, "high": 0.5}
-    assert encoded["probability_of_improvement"]["other"]["mappo"]["value"] == 0.5
-    assert len(encoded["profile_thresholds"]) == len(encoded["aggregates"][0]["profile"]["share"])
-    assert comparison.csv().splitlines()[1].startswith("mappo,mappo,decentralized,2,400,0.75")
+    ends = [encoded["aggregates"][1][f"iqm{end}"] for end in ("", "_low", "_high")]
+    assert ends == [0.75, 0.5, 1.0]
+    assert sum(len(line.get_xdata()) for line in draw_gaps(comparison).axes[0].lines) == 4
+    failing, passing = (
+        marl_eval_data(results)["mbn_marl"]["field_03"][label][f"seed_{seed}"]
+        for label, seed in (("mappo", 1), ("other", 0))
+    )
+    assert [*passing] == ["step_0", "step_1", "step_2", "absolute_metrics"]
+    numbers = {"return": [150_000.0], "success_rate": [1.0], "makespan": [25.0], "spl": [0.8]}
+    assert passing["step_1"] == {"step_count": 300, **numbers}
+    assert passing["absolute_metrics"] == numbers
+    assert failing["absolute_metrics"]["makespan"] == [(20.0 + 1000.0) / 2]  # of 20 and T_max
 
 
 WORLD = NavigationConfig().model_dump(mode="json")
@@ -126,8 +138,10 @@ def test_labels_may_name_different_tasks(tmp_path: Path) -> None:
     Results.of(lulls[:2])
     with pytest.raises(ConfigError, match=r"environment\.gust_time: "):
         Results.of(lulls)
-    comparison = summarise(Results.of([plain, make_run(tmp_path, label="windy", environment=WIND)]))
-    assert not comparison.aggregates and comparison.fields_without_proved_optimum == ["field_03"]
+    windy = make_run(tmp_path, 0.9, label="windy", environment=WIND, bounded=False)
+    comparison = summarise(Results.of([plain, windy]))
+    assert not comparison.aggregates and comparison.fields_without_bound == ["field_03"]
+    assert "no bound is proved" in comparison.verdict
 
 
 def test_only_finished_runs_are_compared(tmp_path: Path) -> None:
@@ -141,15 +155,23 @@ def test_only_finished_runs_are_compared(tmp_path: Path) -> None:
         find_records([tmp_path / "empty"])
 
 
-def test_runs_on_random_fields_are_left_out(tmp_path: Path) -> None:
-    one = make_run(tmp_path).run.path
-    random = tmp_path / "random"
-    RunFolder.create(random, {}, load_fields("random_convex"), "mbn train")
+def test_runs_on_random_fields_are_of_their_tier(tmp_path: Path) -> None:
+    random = {"field": "random_convex", "algorithm": "mappo", "setting": "G"}
+    runs = [make_run(tmp_path, seed=seed, tier="1-convex", **random) for seed in (0, 1)]
+    left_out = make_run(tmp_path, tier="1-convex", **random).run
+    write_json(left_out.path / "config.json", {**left_out.config, "tier": None})
     notes: list[str] = []
-    assert [record.run.path for record in find_records([tmp_path], notes.append)] == [one]
-    assert notes == [f"left out: {random}, trained on random fields"]
-    with pytest.raises(RunError, match=str(random)):
-        find_records([random])
+    found = find_records([tmp_path], notes.append)
+    assert [record.run.path for record in found] == [record.run.path for record in runs]
+    assert notes == [f"left out: {left_out.path}, trained on random fields"]
+    with pytest.raises(RunError, match=str(left_out.path)):
+        find_records([left_out.path])
+    assert [row["field"] for row in summarise(Results.of(found)).rows] == ["1-convex"]
+    assert found[0].field_to_show() == load_split("test", "1-convex")[0].field
+    shapes = {**random, "field": "random_shapes", "label": "shapes"}
+    runs += [make_run(tmp_path, seed=seed, tier="1-convex", **shapes) for seed in (0, 1)]
+    with pytest.raises(ConfigError, match=r"fields: .* of the name 1-convex"):
+        Results.of(runs)
 
 
 @pytest.mark.parametrize(
@@ -165,6 +187,7 @@ def test_runs_on_random_fields_are_left_out(tmp_path: Path) -> None:
         ("evaluation.json", ["stochastic", "return_mean"], float("nan")),
         ("evaluation.json", ["deterministic", "success_rate"], 5.0),
         ("evaluation.json", ["stochastic", "makespan"], -1.0),
+        ("evaluation.json", ["stochastic", "spl"], "x"),
         *(("evaluations.json", [], bad) for bad in ({"a": 1}, [])),
         ("evaluations.json", [0, "seconds"], "x"),
     ],
@@ -202,46 +225,33 @@ def test_words_stay_in_their_cells() -> None:
     assert csv_text(signs).splitlines() == rows
 
 
-def recorded(passes: bool, makespan: float) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    rate, mean = float(passes), 150_000.0 if passes else -80_000.0
-    kind = {"return_mean": mean, "success_rate": rate, "makespan": makespan if passes else None}
-    final = {"env_steps": 400, "seconds": 9.0, "stochastic": kind, "deterministic": kind}
-    return [{"env_steps": 400, "seconds": 4.0, "return_mean": mean}], final
-
-
 @pytest.mark.parametrize(
     "joint, mappo, words",
     [
-        ([0, 0], [0, 0], "No run passes: the budget of 400 env-steps is too small to compare."),
-        ([20], [30], "with one seed the order stays open"),
-        ([20, 26], [30, 20], "the order stays open (-"),
-        ([20, 21], [30, 31], "ppo-joint (centralized) is faster than mappo (decentralized) by 9."),
-        ([20, 0], [30, 31], "in 2 of 2 runs, ppo-joint (centralized) in 1: too few runs"),
-        ([0] * 4, [30] * 4, "passes in 4 of 4 runs, ppo-joint (centralized) in 0."),
+        ([0.5] * 2, [0.5] * 2, "No run passes: the budget of 400 env-steps is too small"),
+        ([0.9], [0.8], "With one seed the order of ppo-joint (centralized) and mappo (dec"),
+        ([0.9, 0.75], [0.8, 0.95], "stays open (-10.0 .. 20.0 points of SPL, p = 0.6"),
+        (
+            *([0.9] * 5, [0.8] * 4 + [0.7]),
+            "ppo-joint (centralized) is ahead of mappo (decentralized) by 10.0 .. 16.0 points of "
+            "SPL (p = 0.00",
+        ),
     ],
 )
 def test_the_result_in_words(
-    joint: list[int], mappo: list[int], words: str, tmp_path: Path
+    joint: list[float], mappo: list[float], words: str, tmp_path: Path
 ) -> None:
-    runs = [
-        make_run(tmp_path, recorded=recorded(steps > 0, steps), algorithm=name, seed=seed)
-        for name, sides in (("ppo-joint", joint), ("mappo", mappo))
-        for seed, steps in enumerate(sides)
-    ]
-    comparison = summarise(Results.of(runs))
+    comparison = summarise(Results.of(make_runs(tmp_path, {"ppo-joint": joint, "mappo": mappo})))
     assert words in comparison.verdict
-    assert comparison.to_json()["verdict"] == comparison.verdict
+    caption = overall_tables(comparison)["Differences of SPL"].caption
+    assert ("80 %" in caption) == (len(joint) > 1)
     asked = "Centralized (ppo-joint) or decentralized (mappo) on field_03, 400 env-steps a run, "
     assert comparison.question.startswith(asked)
 
 
 def test_the_result_changes_no_library_with_the_form(tmp_path: Path) -> None:
-    makespans = {"ppo": 10, "ppo-joint": 20, "mappo": 30}
-    runs = [
-        make_run(tmp_path, recorded=recorded(True, steps), algorithm=name, seed=seed)
-        for name, steps in makespans.items()
-        for seed in (0, 1)
-    ]
-    assert "ppo-joint (centralized) is faster than mappo" in summarise(Results.of(runs)).verdict
+    scores = {"ppo": 0.95, "ppo-joint": 0.9, "mappo": 0.8}
+    runs = make_runs(tmp_path, {name: [spl] * 5 for name, spl in scores.items()})
+    assert "ppo-joint (centralized) is ahead of mappo" in summarise(Results.of(runs)).verdict
     apart = [run for run in runs if run.config["algorithm"] != "ppo-joint"]
-    assert "ppo (centralized) is faster than mappo" in summarise(Results.of(apart)).verdict
+    assert "ppo (centralized) is ahead of mappo" in summarise(Results.of(apart)).verdict

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from baselines.compare import curves
 from baselines.compare import summary as stratified
-from baselines.compare.summary import Estimate
 from mbn_marl.errors import MbnError
 
 
@@ -21,42 +20,51 @@ def test_the_interquartile_mean_cuts_a_quarter_at_both_ends() -> None:
     assert stratified.interquartile_mean(np.array([[9.0, 1.0, 2.0, 3.0, 70.0]])).value == 14.0 / 3.0
 
 
-def test_a_resample_stays_within_each_field() -> None:
-    # Fields far apart, their runs equal: whatever is drawn, the mean is the same. Runs drawn
-    # across fields would give means from 0 to 1.
-    scores = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
-    assert stratified.optimality_gap(scores) == Estimate(0.5, 0.5, 0.5)
+def test_the_worst_tenth_is_of_one_run_at_least() -> None:
+    scores = np.arange(30.0)
+    assert stratified.worst_tenth(scores.reshape(3, 10)) == 1.0
+    assert stratified.worst_tenth(scores[:9].reshape(3, 3)) == 0.0
 
 
-def test_an_interval_by_hand() -> None:
-    # One field with runs 0 and 1: a resample's gap is 1, 0.5 or 0 with probability 1/4, 1/2, 1/4.
-    assert stratified.optimality_gap(np.array([[0.0, 1.0]])) == Estimate(0.5, 0.0, 1.0)
-    # Two such fields: the mean of two, 0 and 1 with 1/16 each, more than 2.5 %.
-    assert stratified.optimality_gap(np.array([[0.0, 1.0]] * 2)) == Estimate(0.5, 0.0, 1.0)
-    # Three: 0 and 1 with 1/64 each, less than 2.5 %; 1/6 and less with 1/64 + 6/64.
-    low, high = stratified.optimality_gap(np.array([[0.0, 1.0]] * 3))[1:]
-    assert (low, high) == pytest.approx((1 / 6, 5 / 6))
+@pytest.mark.parametrize(
+    "scores, value, low, high",
+    [
+        # Fields far apart, their runs equal: a resample stays within each field.
+        ([[0.0] * 3, [1.0] * 3], 0.5, 0.5, 0.5),
+        # One field with runs 0 and 1: the mean is 0, 0.5 or 1 with probability 1/4, 1/2, 1/4.
+        ([[0.0, 1.0]], 0.5, 0.0, 1.0),
+        # Two: 0 and 1 with 1/16 each, more than 2.5 %. Three: less, and 1/6 or less with 7/64.
+        ([[0.0, 1.0]] * 2, 0.5, 0.0, 1.0),
+        ([[0.0, 1.0]] * 3, 0.5, 1 / 6, 5 / 6),
+        ([[0.25]], 0.25, None, None),
+    ],
+)
+def test_an_interval_by_hand(scores: Any, value: float, low: float, high: float) -> None:
+    ours = np.array(scores)
+    found = stratified.difference(ours, np.zeros_like(ours))
+    assert found == (value, *(end if end is None else pytest.approx(end) for end in (low, high)))
 
 
-def test_the_probability_of_improvement_compares_within_each_field() -> None:
-    # Field 0: ours win 3 of 4 pairs and tie the other; field 1: they lose all.
-    ours, theirs = np.array([[2.0, 5.0], [10.0, 10.0]]), np.array([[1.0, 2.0], [99.0, 99.0]])
-    value, low, high = stratified.probability_of_improvement(ours, theirs)
-    assert value == (3.5 / 4 + 0.0) / 2
-    # The most that can be drawn is a win of all pairs of field 0: 1/2. The least is (2, 2)
-    # against (2, 2), probability 1/16, which ties: 1/4.
-    assert (low, high) == (0.25, 0.5)
-    back = stratified.probability_of_improvement(theirs, ours)
-    assert back.value == 1.0 - value
+@pytest.mark.parametrize(
+    "ours, theirs, p_value",
+    [
+        ([[0.0, 0.0]], [[1.0, 1.0]], 2 / 6),  # two of the six ways to share four runs
+        ([[0.0], [10.0]], [[1.0], [11.0]], 2 / 4),  # exchanged within fields only
+        ([[1.0, 2.0]], [[2.0, 1.0]], 1.0),
+    ],
+)
+def test_labels_are_permuted_within_fields(ours: Any, theirs: Any, p_value: float) -> None:
+    found = stratified.permutation_test(np.array(ours), np.array(theirs))
+    assert found == pytest.approx(p_value, abs=0.02)
 
 
-def test_the_performance_profile_counts_runs_above() -> None:
-    scores = np.array([[0.0, 0.5], [0.5, 1.0]])
-    profile = stratified.performance_profile(scores, np.array([-1.0, 0.0, 0.5, 0.9, 1.0]))
-    assert profile.share.tolist() == [1.0, 0.75, 0.25, 0.25, 0.0]
-    # Above 0.9: the second field's runs are drawn 0.5 twice, once, or never, 1/4, 1/2, 1/4.
-    assert (profile.low[3], profile.high[3]) == (0.0, 0.5)
-    assert (profile.low[0], profile.high[0]) == (1.0, 1.0)
+def test_corrections_and_power_by_hand() -> None:
+    assert stratified.holm([0.01, 0.04, 0.03, 0.9]) == pytest.approx([0.04, 0.09, 0.09, 0.9])
+    # The variance of 0 and 2 is 2, that of their mean 1, of the mean of two such fields 1/2.
+    assert stratified.detectable(np.array([[0.0, 2.0]] * 2), np.zeros((2, 2))) == pytest.approx(
+        2.8 * np.sqrt(0.5)
+    )
+    assert stratified.detectable(np.zeros((2, 1)), np.zeros((2, 1))) is None
 
 
 def run(steps: Any, returns: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -80,3 +80,14 @@ def test_the_default_compares_like_with_like() -> None:
     ]
     assert alike == [alike[0]] * 4
     assert config.steps == 1_800_000
+
+
+def test_random_fields_need_a_tier() -> None:
+    mappo = (parse_variant("mappo:G"),)
+    config = CompareConfig(mappo, ("random_convex",), tier="1-convex")
+    assert config.steps == 7_000_000  # for up to 7 robots and 10 ROIs
+    assert {run.tier for run in config.runs()} == {"1-convex"}
+    wrong = (("field_03",), "1-convex"), (("random_convex", "random_shapes"), "1-convex")
+    for fields, tier in (*wrong, (("field_03", "random_convex"), None)):
+        with pytest.raises(ConfigError, match="tier: "):
+            CompareConfig(mappo, fields, tier=tier)

@@ -97,10 +97,10 @@ def test_mbn_evaluate_takes_classical_policies(
     out = tmp_path / "result.json"
     words = ["--field", "field_03", "--episodes", "2", "--json", str(out)]
     assert main(["evaluate", "planner", *words]) == 0
-    assert "0.00%" in capsys.readouterr().out
+    assert "0.0%" in capsys.readouterr().out
     result = json.loads(out.read_text())
-    assert result["optimum"] == 159_490.0
-    assert result["optimality_gap"] == {"stochastic": 0.0, "deterministic": 0.0}
+    assert (result["stochastic"]["gap"], result["deterministic"]["spl"]) == (0.0, 1.0)
+    assert result["deterministic"]["per_episode"]["bounds"] == [17, 17]
     assert main(["evaluate", "greedy"]) == 2
     assert "field" in capsys.readouterr().err
 

@@ -49,7 +49,7 @@ def test_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
     assert [config.cap_at(progress) for progress in (0.0, 0.5, 0.75, 1.0)] == [0.5, 0.5, -0.5, -1.5]
 
 
-SMALL = {"num_worlds": 4, "rollout_steps": 32, "hidden": [8], "action_repeat": [1, 1]}
+SMALL = {"num_worlds": 4, "rollout_steps": 32, "hidden": [8]}
 
 
 @pytest.mark.parametrize("algorithm", ["mappo", "ppo-joint"])
@@ -60,10 +60,10 @@ def test_a_time_limit_is_bootstrapped_and_a_termination_is_not(
     samples = trainer.Trainer._samples
 
     @torch.no_grad()
-    def keep(self: Any, rollout: Any, repeat: int) -> Any:
-        made = samples(self, rollout, repeat)
+    def keep(self: Any, rollout: Any) -> Any:
+        made = samples(self, rollout)
         seen = TensorDict({Key.NORMALIZED: rollout["next", *Key.NORMALIZED]}, rollout.batch_size)
-        kept.append((self.reward, rollout.clone(), repeat, self.critic(seen)[Key.VALUE]))
+        kept.append((self.reward, rollout.clone(), self.critic(seen)[Key.VALUE]))
         return made
 
     monkeypatch.setattr(trainer.Trainer, "_samples", keep)
@@ -74,19 +74,38 @@ def test_a_time_limit_is_bootstrapped_and_a_termination_is_not(
         steps=128,
         episodes=2,
         environment={"safety_distance": 45.0, "random_starts": True},
-        hyperparameters={**short, "action_repeat": [2, 2]},
+        hyperparameters=short,
     )
     train(config, tmp_path / "run")
-    reward_key, rollout, repeat, last = kept[0]
+    reward_key, rollout, last = kept[0]
     ended = rollout["next", "terminated"]
-    assert ended.any() and (rollout["next", "truncated"] & ~ended).any() and repeat == 2
+    assert ended.any() and (rollout["next", "truncated"] & ~ended).any()
     # With lambda 0 the target is one step's: reward, and what follows unless a success or collision
-    # ended it; a decision of two steps is discounted twice.
+    # ended it.
     reward = rollout[reward_key]
     reward = reward.unsqueeze(-2) if algorithm == "ppo-joint" else reward
-    expected = reward + 0.99**2 * last * ~ended.unsqueeze(-2)
+    expected = reward + 0.99 * last * ~ended.unsqueeze(-2)
     assert torch.allclose(rollout["value_target"], expected, atol=1e-4)
     assert expected.shape[-2] == (1 if algorithm == "ppo-joint" else 3)
+
+
+def test_robots_that_failed_do_not_move_the_actor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = []
+    samples = trainer.Trainer._samples
+
+    def keep(self: Any, rollout: Any) -> Any:
+        kept.append(rollout.clone())
+        return samples(self, rollout)
+
+    monkeypatch.setattr(trainer.Trainer, "_samples", keep)
+    environment = {"failures": {"at": {1: 4}, "kind": "brake"}}
+    config = TrainConfig("mappo", "field_03", steps=128, episodes=2, environment=environment)
+    train(replace(config, hyperparameters={**SMALL, "roi_radius": 1.0}), tmp_path / "run")
+    advantage, works = kept[0]["advantage"], kept[0]["robots", "mask"].unsqueeze(-1)
+    assert 0.0 < works.float().mean() < 1.0 and not advantage[~works].any()
+    assert abs(advantage[works].mean()) < 1e-5 and abs(advantage[works].std() - 1.0) < 1e-5
 
 
 SOURCE = "zoo:generalist-hint"
@@ -120,7 +139,6 @@ def rollout_of(env: NavigationEnv, steps: int) -> TensorDict:
 
 
 def test_a_teacher_acts_where_the_learner_is_and_sees_the_assignment() -> None:
-    repeat = 3
     learner, teacher = make_env(), Teacher(SOURCE, LEARNER, make_env)
     hinted = make_env(assignment="fresh")
     policy = load_policy(SOURCE)
@@ -128,11 +146,11 @@ def test_a_teacher_acts_where_the_learner_is_and_sees_the_assignment() -> None:
     places = [entry.offset for entry in hinted.engine.observation_table if entry.name in names]
     common = [k for k, name in enumerate(names) if not name.startswith("roi_")]
     for env in (learner, hinted):
-        env.action_repeat, env.now = repeat, env.reset()  # type: ignore[attr-defined]
+        env.now = env.reset()  # type: ignore[attr-defined]
     ended = False
     for _ in range(3):
         rollout = rollout_of(learner, 8)
-        found = teacher.actions(rollout, repeat)
+        found = teacher.actions(rollout)
         assert found.shape == (6, 8, 4, 2)
         for t, step in enumerate(rollout.unbind(1)):
             seen = hinted.now[Key.OBSERVATION].numpy()  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""Training aids: how long a decision lasts, what a budget becomes, when ROIs shrink and grow."""
+"""Training aids: other starts, shorter episodes, when ROIs shrink and grow."""
 
 from __future__ import annotations
 
@@ -21,19 +21,7 @@ def task_of(**settings: Any) -> Task:
 
 
 def test_numbers_are_interpolated_and_do_not_leave_their_ends() -> None:
-    aids = TrainingAids(action_repeat=(4, 1))
-    assert [aids.repeat_at(share) for share in (0.0, 0.2, 0.32, 0.4, 1.0)] == [4, 2, 2, 1, 1]
     assert [between((3.0, 1.0), share) for share in (-1, 0, 0.25, 1, 2)] == [3, 3, 2.5, 1, 1]
-
-
-def test_budget_is_rounded_up_to_rollouts_that_become_shorter() -> None:
-    aids = TrainingAids(action_repeat=(4, 1))
-    # 4 x 10 until 40 % of the budget, where repeats end; then rollouts of 10.
-    assert [aids.rounded_up(steps, 10) for steps in (1, 40, 95, 101)] == [40, 40, 100, 110]
-    # 40, 80, then 3 x 10 and 2 x 10 and 10 from 400 on.
-    assert aids.rounded_up(1000, 10) == 1000
-    assert [TrainingAids().rounded_up(steps, 64) for steps in (1, 64, 65)] == [64, 64, 128]
-    assert TrainingAids(action_repeat=(3, 3)).rounded_up(100, 10) == 120
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tomllib
 from pathlib import Path
@@ -78,7 +79,7 @@ def test_an_entry_is_a_small_run_that_acts_as_its_card_says(
     capsys.readouterr()
     assert main(["zoo"]) == 0
     printed = capsys.readouterr().out
-    assert "zoo:tiny" in printed and "mappo" in printed
+    assert re.search(r"zoo:tiny +all +sampled ", printed)
 
 
 def test_an_entry_is_made_again_and_nothing_else_is_replaced(
@@ -134,7 +135,7 @@ def test_a_shipped_entry_does_what_its_card_says(name: str, tmp_path: Path) -> N
     assert {path.suffix for path in files} == {".json", ".safetensors", ".yaml"}
     assert card["name"] == name
     if name in ANYWHERE:
-        assert isinstance(run.fields, FieldSampler) and card["optimum"] is None
+        assert isinstance(run.fields, FieldSampler)
     else:
         assert run.field == load_field(name) and card["field"] == name
     for kind, found in evaluation_of(name, tmp_path / "out.json").items():
@@ -142,5 +143,6 @@ def test_a_shipped_entry_does_what_its_card_says(name: str, tmp_path: Path) -> N
         # Another processor may round otherwise, and an episode may go another way.
         assert found["success_rate"] == pytest.approx(said["success_rate"], abs=0.02)
         assert found["makespan"] == pytest.approx(said["makespan"], rel=0.02)
+        assert (said["gap"] is None) == (name in ANYWHERE)
         if name not in ANYWHERE:  # where one team that is stuck outweighs all others
             assert found["return_mean"] == pytest.approx(said["return_mean"], rel=0.02)

@@ -1,0 +1,20 @@
+"""The information that a policy acts on, as tables name it."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from mbn_marl.config import make_config
+
+Information = Literal["all", "assignment", "own sight", "own knowledge"]
+
+
+def information(settings: Mapping[str, Any], *, centralized: bool = False) -> Information:
+    """Return ``assignment`` for a planner's hint, else whether a policy sees far or near."""
+    # A centralised policy sees the observations of all robots, and counts as seeing all.
+    config = make_config(settings)
+    if config.assignment:
+        return "assignment"
+    if config.knowledge == "own" and not centralized:
+        return "own knowledge"
+    near = config.observation in ("local", "lidar_local") or config.dropout == 1.0
+    return "own sight" if near and not centralized else "all"

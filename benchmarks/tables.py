@@ -1,0 +1,123 @@
+"""The tables of the pages of results, of the same rows as their figures."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas
+from pandas import DataFrame
+from scipy.stats import binomtest
+
+from baselines.compare.text_table import TextTable
+from baselines.evaluation.intervals import RETURN_THRESHOLD
+from baselines.runs.files import read_json, read_text, write_text
+from mbn_marl.field import splits
+
+PLACE = re.compile(r"(?m)^<!-- table: (\S+) -->\n(?:\n(?:\|.*\n)+)?")
+BOARD = "leaderboard"
+ROW = [
+    *("label", "information", "field", "seed", "passed"),
+    *("success_rate", "deterministic_gap", "spl"),
+]
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Write below each `<!-- table: STUDY -->` the table of that study."""
+
+    folder: Path = Path("docs/results")
+    """With the pages, STUDY/runs.csv or comparison.json, and results of `mbn benchmark`."""
+
+    def run(self, command: str) -> bool:
+        for page in sorted(self.folder.glob("*.md")):
+            if (filled := fill(page)) != read_text(page):
+                write_text(page, filled)
+                print(f"written to {page}")
+        return True
+
+
+def fill(page: Path) -> str:
+    def below(place: re.Match[str]) -> str:
+        folder = page.parent / place[1]
+        if not folder.is_dir():  # not run yet
+            return place[0]
+        text = weather(folder) if folder.name == BOARD else table(folder)
+        return f"<!-- table: {place[1]} -->\n\n{text.markdown().strip()}\n"
+
+    return PLACE.sub(below, read_text(page))
+
+
+def weather(folder: Path) -> TextTable:
+    """Return makespan and success of each policy under each condition, by mean actions."""
+    lines = []
+    for path in folder.glob("*.json"):
+        instances = read_json(path)["tiers"][splits.WEATHER]["instances"]
+        if instances:
+            rows = DataFrame([{"condition": row["condition"], **row["mean"]} for row in instances])
+            means = rows.groupby("condition")[["makespan", "success_rate"]].mean()
+            cells = [means.loc[name] for name in splits.CONDITIONS]
+            words = [f"{cell.makespan:.1f} ({cell.success_rate:.0%})" for cell in cells]
+            words = [word.replace("nan", "-") for word in words]  # no success
+            lines.append((rows.makespan.mean(), path.stem, *words))
+    ordered = [line[1:] for line in sorted(lines)]
+    return TextTable("", ("policy", *splits.CONDITIONS), ordered)
+
+
+def rows_of(study: Path) -> DataFrame:
+    """Read a row for each run; of a comparison without runs, the median run of each field.
+
+    160,000 - 30 T - 10,000 H is the return of T steps with H pushes at a wall. A revisit counts as
+    four steps there, so gaps of medians are upper estimates.
+    """
+    if (path := study / "runs.csv").is_file():
+        return pandas.read_csv(path).reindex(columns=ROW)
+    rows = DataFrame(read_json(study / "comparison.json")["rows"])
+    returns = rows[["deterministic_median", "optimum"]].astype(float)
+    cost, least = (160_000 - returns).to_numpy().T
+    gap, passed = (cost - cost % 30 * 1_000) / least - 1, cost <= 160_000 - RETURN_THRESHOLD
+    rows = rows.assign(seed="median", passed=passed, deterministic_gap=gap)
+    return rows.reindex(columns=ROW)
+
+
+def table(study: Path) -> TextTable:
+    """Return a row for each variant, by SPL; gaps are of the median run of a field, mean actions.
+
+    What no row knows has no column.
+    """
+    rows = rows_of(study)
+    gaps = rows.deterministic_gap.where(rows.passed, np.inf)
+    cells = gaps.groupby([rows.label, rows.field]).median().unstack()
+    lines = []
+    for label, (passed, runs) in counts(study, rows).iterrows():
+        low, high = binomtest(passed, runs).proportion_ci(method="wilson")
+        known = cells.loc[label].dropna()
+        solved = known[np.isfinite(known)]
+        own = rows[rows.label == label]
+        words = {
+            "variant": label,
+            "sees": own.information.iloc[0],
+            "runs pass": f"{passed}/{runs}",
+            "95 %": f"{low:.0%}..{high:.0%}",
+            "success": f"{own.success_rate.mean():.1%}",
+            "gap": f"{solved.mean():.0%}",
+            "worst field": f"{solved.max():.0%}",
+            "fields failed": f"{len(known) - len(solved)}",
+            "SPL": f"{own.spl.mean():.3f}",
+        }
+        lines.append(words)
+    found = DataFrame(lines).replace({"nan": None, "nan%": None}).dropna(axis="columns", how="all")
+    if "SPL" in found:
+        found = found.sort_values("SPL", ascending=False, kind="stable")
+    cells_of = found.fillna("-").astype(str).to_numpy().tolist()
+    return TextTable("", tuple(found), cells_of, words=1 + ("sees" in found))
+
+
+def counts(study: Path, rows: DataFrame) -> DataFrame:
+    """Return how many runs of each label pass, and how many there are."""
+    if (study / "runs.csv").is_file():
+        return rows.groupby("label", sort=False).passed.agg(["sum", "size"])
+    cells = DataFrame(read_json(study / "comparison.json")["rows"])
+    return cells.groupby("label", sort=False)[["passed", "seeds"]].sum()

@@ -1,0 +1,27 @@
+"""What tables say that a policy sees."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from baselines.policies.information import information
+
+
+@pytest.mark.parametrize(
+    ("settings", "centralized", "seen"),
+    [
+        ({"observation": "lidar"}, False, "all"),
+        ({"observation": "lidar_local"}, False, "own sight"),
+        ({"observation": "lidar_local"}, True, "all"),
+        ({"dropout": 1.0}, False, "own sight"),
+        ({"observation": "entities", "knowledge": "own"}, False, "own knowledge"),
+        ({"observation": "entities"}, False, "all"),
+        ({"observation": "entities", "assignment": "fresh"}, False, "assignment"),
+    ],
+)
+def test_what_a_policy_sees_has_a_name(
+    settings: dict[str, Any], centralized: bool, seen: str
+) -> None:
+    assert information(settings, centralized=centralized) == seen

@@ -1,0 +1,73 @@
+"""``python -m benchmarks strip`` and ``tables``: figures and tables of made-up runs, by hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pandas
+import pytest
+
+from benchmarks.__main__ import main
+from benchmarks.strip import COLUMNS, FIELDS, strip
+from benchmarks.tables import fill, rows_of
+from tests.support.pages import ROOT
+
+HEADING = "label,field,seed,passed,deterministic_gap,spl\n"
+RUNS = "".join(
+    f"mappo,field_01,{run}\n" for run in ("200,True,0.1,0.9", "201,False,,0", "202,True,0.3,0.75")
+)
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    for study in ("forms", "aids", FIELDS):
+        (tmp_path / study).mkdir()
+        (tmp_path / study / "comparison.json").write_text('{"rows": []}')
+        own = [name for name, place in COLUMNS.items() if place == study and name != "mappo"]
+        lines = "".join(f"{label},field_01,,True,0.5,0.5\n" for label in own)
+        (tmp_path / study / "runs.csv").write_text(HEADING + lines)
+    with (tmp_path / "forms" / "runs.csv").open("a") as file:
+        file.write(RUNS)
+    return tmp_path
+
+
+def test_figure_has_a_dot_a_run_and_counts_failures(results: Path) -> None:
+    assert main(["strip", "--folder", str(results)]) == 0
+    shown = pandas.read_csv(results / "strip.csv")
+    assert [*dict.fromkeys(shown.label)] == [*COLUMNS] and len(shown) == len(COLUMNS) + 2
+    assert (results / "strip.png").stat().st_size and (results / "forms" / "gaps.png").is_file()
+    (axes,) = strip({"mappo": shown[shown.label == "mappo"]}).axes
+    dots, crosses = axes.lines
+    assert dots.get_ydata().tolist() == pytest.approx([1.1, 1.3])
+    assert crosses.get_marker() == "x" and len(crosses.get_ydata()) == 1
+
+
+def test_table_is_written_below_its_mark_once(results: Path) -> None:
+    page = results / "forms.md"
+    page.write_text("a\n\n<!-- table: forms -->\n\nb\n\n<!-- table: later -->\n\nc\n")
+    for _ in range(2):
+        assert main(["tables", "--folder", str(results)]) == 0
+        text = page.read_text()
+        lines = [line for line in text.splitlines() if line.startswith("|")]
+        assert lines[2] == "| mappo | 2/3 | 21%..94% | 30% | 30% | 0 | 0.550 |", "the best SPL"
+        assert len(lines) == 5
+        assert text.endswith("\n\nb\n\n<!-- table: later -->\n\nc\n")
+
+
+@pytest.mark.parametrize(
+    ("returned", "gap"),
+    [(158_800, 0.0), (158_710, 3 / 40), (148_590, 7 / 40), (10_000, None)],
+    ids=["optimum", "3 steps more", "a push at a wall", "failure"],
+)
+def test_gap_of_a_median_return(returned: int, gap: float | None, tmp_path: Path) -> None:
+    row = {"label": "a", "field": "field_01", "deterministic_median": returned, "optimum": 158_800}
+    (tmp_path / "comparison.json").write_text(json.dumps({"rows": [row]}))
+    (found,) = rows_of(tmp_path).itertuples()
+    assert found.passed == (gap is not None)
+    assert gap is None or found.deterministic_gap == pytest.approx(gap)
+
+
+def test_tables_of_the_pages_are_of_their_data() -> None:
+    for page in (ROOT / "docs" / "results").glob("*.md"):
+        assert fill(page) == page.read_text(encoding="utf-8"), page
