@@ -28,14 +28,7 @@ CONFIGURATIONS: dict[str, tuple[Any, dict[str, Any]]] = {
     "disabled": (SAMPLER, {**STORMY, "autoreset": False}),
     "own": ("field_03", {**OWN_DRAWN, "max_steps": 40}),
 }
-EDITS = {
-    "default": 4000,
-    "formal": 2000,
-    "kept plan": 2000,
-    "storm": 1200,
-    "disabled": 800,
-    "own": 1000,
-}
+EDITS = dict.fromkeys(CONFIGURATIONS, 1000) | {"default": 4000, "formal": 2000, "kept plan": 2000}
 BAD = (0, 1, -1, -2, 2, 3, 5, 24, 31, 64, 99, 127, 255, 1000, 2**31 - 1, -(2**31), 2**40, 2**62)
 REALS = (np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-30, 0.5, -0.5, 1e308)
 
