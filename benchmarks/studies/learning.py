@@ -66,7 +66,12 @@ class Study(Benchmark):
         path = Path(__file__).with_name(f"{self.study}.yaml")
         values: Any = parse_yaml(path.read_bytes(), str(path))
         plan = validate(Plan, values, str(path))
-        return plan.model_copy(update={name: value for name, value in given.items() if value})
+        # Fields that are no names are files in this folder.
+        fields = [
+            str(one) if (one := path.parent / name).is_file() else name for name in plan.fields
+        ]
+        changes = {name: value for name, value in given.items() if value}
+        return plan.model_copy(update={"fields": tuple(fields), **changes})
 
     def config(self) -> CompareConfig:
         plan = self.plan
