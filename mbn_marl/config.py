@@ -107,6 +107,12 @@ class Uniform(Checked):
         return high
 
 
+def _ordered(ends: tuple[int, int]) -> tuple[int, int]:
+    if ends[0] > ends[1]:
+        raise ValueError("the first must not be above the last")
+    return ends
+
+
 def _or_other(one: Any, other: Any, mark: str, kinds: tuple[type, ...]) -> GetPydanticSchema:
     """Have a value validated as ``other`` if it is of these kinds, else as ``one``."""
     form = Discriminator(lambda value: mark if isinstance(value, kinds) else _ONE)
@@ -149,6 +155,11 @@ AnyProbability = Annotated[float, or_drawn(Probability)]
 AnyTurn = Annotated[float, or_drawn(Turn)]
 AnySteering = Annotated[float, or_drawn(Steering)]
 PositiveOfEach = Annotated[float | tuple[float, ...], or_each(AnyPositive)]
+# Infinity becomes a number that files of any kind can have.
+Reach = Annotated[RealNumber, Field(ge=0.0), AfterValidator(lambda radius: min(radius, MOST))]
+_Few = Annotated[WholeNumber, Field(ge=0, lt=MAX_ROIS)]
+_Range = Annotated[tuple[_Few, _Few], AfterValidator(_ordered)]
+FewOrRange = Annotated[int | tuple[int, int], _or_other(_Few, _Range, _DRAWN, (tuple, list))]
 # A number, or the range that each episode draws it from.
 Number = float | Uniform
 
@@ -160,6 +171,10 @@ MIXED: tuple[Dynamics, ...] = ("point_mass", "unicycle", "bicycle")
 Observation = Literal["relative", "state", "local", "lidar", "lidar_local", "entities"]
 # Observations that do not depend on the sensing radius.
 WITHOUT_RADIUS = ("relative", "state")
+# Observations that can show what a robot knows itself, and not only what the team knows.
+OF_OWN = ("local", "lidar_local", "entities")
+# Settings of what robots know, which change nothing in what they can do.
+KNOWLEDGE = ("knowledge", "comm_radius", "look_radius", "hidden_rois", "comm_delay", "comm_loss")
 
 
 class RewardProfile(Checked):
@@ -228,6 +243,21 @@ class NavigationConfig(Checked):
     sensing_radius: Positive = 100.0
     """Range of ``"local"``, ``"lidar"``, ``"lidar_local"`` and the rays of ``"entities"``, units;
     with other observations nothing else than 100 is allowed."""
+    knowledge: Literal["team", "own"] = "team"
+    """``"team"``: robots share all they know; ``"own"``: each knows what it has seen and heard
+    (mdp.md, "Knowledge"). The settings from here to ``decoys`` are for ``"own"`` only."""
+    comm_radius: Reach = 100.0
+    """Robots within this distance tell each other what they know, units, 0 to infinity."""
+    look_radius: NonNegative | None = None
+    """A robot sees within this distance whether an ROI is left, units; ``None`` is rho."""
+    hidden_rois: Flag = False
+    """Only with ``"entities"``: an ROI is unknown until a robot is within the sensing radius."""
+    comm_delay: Annotated[WholeNumber, Field(ge=0, le=100)] = 0
+    """Delay of what robots tell each other, steps, 0 to 100."""
+    comm_loss: Probability = 0.0
+    """Probability that a robot does not hear another one in a step, in [0, 1]."""
+    decoys: FewOrRange = 0
+    """Number of ROIs of an episode that are empty, or the least and the most; each draws them."""
     wind: tuple[AnyNonNegative, AnyNumber] = (0.0, 0.0)
     """``(v_a, beta_a)``: units/step per step, degrees from +x; both may be drawn."""
     gust: AnyNonNegative = 0.0
@@ -288,11 +318,27 @@ class NavigationConfig(Checked):
             return REWARD_PROFILES[value]
         return value
 
-    @field_validator("assignment")
+    @field_validator("assignment", "hidden_rois")
     @classmethod
     def _seen(cls, value: bool | str, info: ValidationInfo) -> bool | str:
         if value and info.data.get("observation", "entities") != "entities":
             raise ValueError("allowed with observation='entities' only")
+        return value
+
+    @field_validator("knowledge")
+    @classmethod
+    def _own(cls, value: str, info: ValidationInfo) -> str:
+        shown = info.data.get("observation", "entities") in OF_OWN
+        if value == "own" and (not shown or info.data.get("assignment")):
+            raise ValueError(f"'own' is allowed with observation {', '.join(OF_OWN)}, unassigned")
+        return value
+
+    @field_validator(*KNOWLEDGE[1:], "decoys")
+    @classmethod
+    def _of_own(cls, value: Any, info: ValidationInfo) -> Any:
+        default = cls.model_fields[str(info.field_name)].default
+        if value != default and info.data.get("knowledge", "own") != "own":
+            raise ValueError("allowed with knowledge='own' only")
         return value
 
     @field_validator("sensing_radius")
@@ -358,6 +404,11 @@ class NavigationConfig(Checked):
         return self.with_drawn({name: ends.high for name, ends in self.drawn.items()})
 
     @property
+    def decoy_range(self) -> tuple[int, int]:
+        """The least and the greatest number of an episode's empty ROIs."""
+        return self.decoys if isinstance(self.decoys, tuple) else (self.decoys, self.decoys)
+
+    @property
     def top_speed(self) -> float:
         """The highest speed limit of a robot, units/step."""
         limits: tuple[float, ...] = self.at_most().of_each("v_clip", 1)
@@ -380,7 +431,7 @@ LIMITS = ("mass", "f_max", "v_clip")
 # Settings that make episodes random unless they are off.
 RANDOM = (
     *("random_starts", "gust", "action_noise", "action_loss"),
-    *("position_noise", "velocity_noise", "dropout"),
+    *("position_noise", "velocity_noise", "dropout", "comm_loss", "decoys"),
 )
 
 Condition = Literal["calm", "windy", "gusty", "noisy", "delayed", "failing", "mixed", "storm"]
@@ -420,6 +471,13 @@ class FixedSettings(TypedDict, total=False):
     assignment: Literal[False, True, "fresh"]
     one_hot: bool
     sensing_radius: float
+    knowledge: Literal["team", "own"]
+    comm_radius: float
+    look_radius: float | None
+    hidden_rois: bool
+    comm_delay: int
+    comm_loss: float
+    decoys: int | tuple[int, int]
     wind: tuple[Number, Number]
     gust: Number
     gust_time: Number

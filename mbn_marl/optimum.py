@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from mbn_marl.config import NavigationConfig
+from mbn_marl.config import KNOWLEDGE, NavigationConfig
 from mbn_marl.field import Field
 
 DEFAULT = NavigationConfig()
 # Settings that change observations, but not the best return; or nothing without a gust.
 VIEW = (
     *("reward_sharing", "observation", "assignment", "one_hot", "sensing_radius", "dtype"),
-    *("position_noise", "velocity_noise", "dropout", "gust_time"),
+    *("position_noise", "velocity_noise", "dropout", "gust_time", *KNOWLEDGE),
 )
 
 

@@ -306,9 +306,10 @@ def _unequal_seeds(cells: Mapping[tuple[str, str], Sequence[RunRecord]]) -> Iter
 
 
 def _unequal_settings(records: Sequence[RunRecord], labels: Collection[str]) -> Iterator[str]:
+    defaults = make_config({}).model_dump(mode="json")  # an older run lacks newer settings
 
     def task(record: RunRecord) -> dict[str, Any]:
-        world = record.config["environment"]
+        world = {**defaults, **record.config["environment"]}
         seen = [name for name in VIEW if name != "gust_time" or not world.get("gust")]
         return {f"environment.{name}": world[name] for name in world if name not in seen}
 

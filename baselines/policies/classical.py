@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from copy import copy
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,17 +12,20 @@ from numpy.typing import NDArray
 
 from baselines.policies.policy import Policy
 from mbn_marl.config import NavigationConfig, make_config
+from mbn_marl.engine import BatchEngine
 from mbn_marl.engine.mdp.disturbances import OF_ACTIONS, OF_SIGHT
 from mbn_marl.errors import MbnError
 from mbn_marl.field import Field
 
 if TYPE_CHECKING:  # the planner's packages are an extra
+    from mbn_marl.planning import Plan
     from mbn_marl.planning.greedy import Greedy
     from mbn_marl.planning.problem import Problem
     from mbn_marl.planning.replanning import Replanner, Tracker
 
     Controller = Greedy | Tracker | Replanner
 
+Empty = tuple[int, ...]
 # The names of these policies, and what they want of the environment.
 CLASSICAL: Mapping[str, Mapping[str, Any]] = {
     **{"greedy": {}, "planner": {}, "replan": {}},
@@ -40,9 +44,14 @@ class ControllerPolicy(Policy):
 
     observes = "state"
 
-    def __init__(self, problem: Problem, begin: Callable[[], Controller]) -> None:
+    def __init__(self, problem: Problem, begin: Callable[[Empty], Controller]) -> None:
         self.problem, self.begin = problem, begin
         self._of_world: list[Controller | None] = []
+        self._engine: BatchEngine | None = None
+
+    def fit(self, engine: BatchEngine) -> Policy:
+        self._engine = engine  # the state does not say which ROIs are empty
+        return super().fit(engine)
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         """Return actions (worlds, n, 2) for states (worlds, 4n+1), or (worlds, 5n+1) with flags."""
@@ -50,7 +59,10 @@ class ControllerPolicy(Policy):
         positions = seen[:, : 2 * n].reshape(-1, n, 2)
         velocities = seen[:, 2 * n : 4 * n].reshape(-1, n, 2)
         codes = seen[:, -1].astype(np.int64)
-        visited = (codes[:, None] >> np.arange(m - 1, -1, -1) & 1).astype(bool)
+        empty = np.zeros((len(seen), m), bool)
+        if self._engine is not None:
+            empty |= self._engine.decoys[:, :m]
+        visited = (codes[:, None] >> np.arange(m - 1, -1, -1) & 1).astype(bool) | empty
         failed = np.zeros((len(seen), n), bool)
         if seen.shape[1] > 4 * n + 1:
             failed = seen[:, 4 * n : -1] > 0
@@ -60,10 +72,11 @@ class ControllerPolicy(Policy):
         chosen: dict[tuple[int, bytes], tuple[Controller, NDArray[np.float32]]] = {}
         for world, row in enumerate(seen):
             last = None if fresh[world] else before[world]
-            key = id(last), row.tobytes()
+            key = id(last), row.tobytes() + visited[world].tobytes()
             if key not in chosen:
                 state = positions[world], velocities[world], visited[world], failed[world]
-                controller = self.begin() if last is None else copy(last)
+                rois = tuple(np.flatnonzero(empty[world]).tolist())
+                controller = self.begin(rois) if last is None else copy(last)
                 chosen[key] = controller, controller.act(*state)
             before[world], actions[world] = chosen[key]
         self._of_world = before
@@ -79,18 +92,26 @@ def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Poli
     from mbn_marl.planning.problem import make_problem
     from mbn_marl.planning.replanning import Replanner, Tracker
 
-    problem = make_problem(field, make_config(settings), closed_loop=name != "planner")
+    config = make_config({**settings, "decoys": 0})  # the engine knows which ROIs are empty
+    problem = make_problem(field, config, closed_loop=name != "planner")
     if name == "greedy-local":
         from baselines.policies.greedy_local import GreedyLocal
 
         return GreedyLocal(problem)
     if name == "greedy":
-        return ControllerPolicy(problem, lambda: Greedy(problem))
-    if name == "planner":
-        found = plan(field, **settings)
-        if found.makespan is None:
+        return ControllerPolicy(problem, lambda _: Greedy(problem))
+    hidden = UNSEEN if name == "replan" else ()
+    known = [name for name in NavigationConfig.model_fields if name not in hidden]
+
+    @cache
+    def planned(empty: Empty) -> Plan:
+        given = {name: getattr(problem.config, name) for name in known}
+        found = plan(field, visited=empty, **given)
+        if found.makespan is None and name == "planner":
             raise NoPlanError(f"{field.name}: no plan was found within the time limit")
-        return ControllerPolicy(problem, lambda: Tracker(problem, found))
-    known = [name for name in NavigationConfig.model_fields if name not in UNSEEN]
-    first = plan(field, **{name: getattr(problem.config, name) for name in known})
-    return ControllerPolicy(problem, lambda: Replanner(problem, first))
+        return found
+
+    if config == make_config(settings):
+        planned(())
+    control: type[Tracker] | type[Replanner] = Tracker if name == "planner" else Replanner
+    return ControllerPolicy(problem, lambda empty: control(problem, planned(empty)))

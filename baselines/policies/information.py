@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 from mbn_marl.config import make_config
 
-Information = Literal["all", "assignment", "own sight"]
+Information = Literal["all", "assignment", "own sight", "own knowledge"]
 
 
 def information(settings: Mapping[str, Any], *, centralized: bool = False) -> Information:
@@ -14,5 +14,7 @@ def information(settings: Mapping[str, Any], *, centralized: bool = False) -> In
     config = make_config(settings)
     if config.assignment:
         return "assignment"
+    if config.knowledge == "own" and not centralized:
+        return "own knowledge"
     near = config.observation in ("local", "lidar_local") or config.dropout == 1.0
     return "own sight" if near and not centralized else "all"

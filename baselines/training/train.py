@@ -182,17 +182,18 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
     if not (source.finished or (source.path / CARD).is_file()):
         raise RunError(f"{source.path} is not finished; resume it first (--resume)")
     config, environment = source.config, make_config(task.settings)
+    trained = make_config(config["environment"])  # an older run lacks newer settings
     asked = hyperparameters.model_dump(mode="json", exclude={"source", "num_envs"})
     if task.config.setting == "C":
         assert isinstance(task.field, Field)  # no algorithm with setting C takes random ones
         compared = {
             "algorithm": (config["algorithm"], task.config.algorithm),
             **sizes(source.field, task.field),
-            "environment": (config["environment"], environment.model_dump(mode="json")),
+            "environment": tuple(one.model_dump(mode="json") for one in (trained, environment)),
         }
     else:
         asked = {name: asked[name] for name in NETWORK}
-        seen = acts_on(source.fields, make_config(config["environment"]))
+        seen = acts_on(source.fields, trained)
         here = acts_on(task.field, environment)
         compared = {name: (seen.get(name), here.get(name)) for name in {**seen, **here}}
     theirs = {"network": "mlp", **config["hyperparameters"]}  # the zoo's first have no other

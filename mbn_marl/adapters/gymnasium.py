@@ -18,6 +18,7 @@ from mbn_marl.adapters.one_world import (
     RENDER_FPS,
     LazyViewer,
     OneWorld,
+    check_central,
     check_names,
     rename_max_steps,
 )
@@ -93,6 +94,7 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
         if "frameskip" in settings:  # TorchRL's GymEnv tries it, and expects the error of Python
             raise TypeError("CentralizedEnv() got an unexpected keyword argument 'frameskip'")
         super().__init__(field, render_mode, render_size, n_robots=n_robots, **settings)
+        check_central(self.engine.config)
         self.observation_space = self.state_space
         n = self.engine.n_robots
         self._action_shape = (2 * n,) if flat else (n, 2)
@@ -196,6 +198,7 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         self.engine = engine = BatchEngine(
             field, num_envs, autoreset=engine_mode, threads=threads, n_robots=n_robots, **settings
         )
+        check_central(engine.config)
         self._infos = Infos(engine)
         self.num_envs = num_envs
         self.single_observation_space = spaces.Box(

@@ -148,6 +148,13 @@ def check_names(settings: Mapping[str, Any]) -> None:
         make_config(settings)
 
 
+def check_central(config: NavigationConfig) -> None:
+    """Refuse settings in which no robot sees the state that a central policy acts on."""
+    if config.knowledge == "own":
+        allowed = "allowed: 'team', since one policy sees the whole state"
+        raise ConfigError("environment", [f"knowledge: {config.knowledge!r}; {allowed}"])
+
+
 def rename_max_steps(name: str, value: int | None, settings: FixedSettings) -> None:
     """Put ``value`` into ``settings`` as ``max_steps``, which another library calls ``name``."""
     if value is not None:

@@ -27,7 +27,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from mbn_marl.adapters.one_world import RENDER_FPS, LazyViewer
+from mbn_marl.adapters.one_world import RENDER_FPS, LazyViewer, check_central
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, Fields
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
@@ -255,6 +255,8 @@ class CentralizedVecEnv(NavigationVecEnv):
 
     def _row(self) -> tuple[int, spaces.Box, spaces.Box]:
         engine, n = self.engine, self.engine.n_robots
+        if not self._joint:
+            check_central(engine.config)
         seen = spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
         if self._joint:
             bounds = np.tile(engine.observation_low, n), np.tile(engine.observation_high, n)

@@ -56,7 +56,9 @@ class Backend:
         m = spec.geometry.field.rois.shape[1]
         self.spec, self.real = spec, getattr(xp, config.dtype)
         self.now = state.make_episode(worlds, n, config, spec.teams_vary, xp)
-        self.final = state.make_episode(worlds, n, config, spec.teams_vary, xp)
+        # Nobody reads what robots knew at the end.
+        final = state.make_episode(worlds, n, config, spec.teams_vary, xp)
+        self.final = final._replace(knows=final.knows[:0])
         self.memory = state.make_memory(worlds, n, m, config, self.now, xp)
         self.output = state.make_output(worlds, n, spec.obs_size, config, xp)
         self._everyone = xp.ones(worlds, dtype=xp.bool)

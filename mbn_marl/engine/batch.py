@@ -311,7 +311,8 @@ class BatchEngine:
 
     def set_sampler(self, sampler: FieldSampler) -> None:
         """Draw fields by other numbers from the next resets on, at most as large as at first."""
-        problems = validation.set_sampler_problems(sampler, self._sizes, self.teams_vary)
+        limits = self._sizes, self.config, self.teams_vary
+        problems = validation.set_sampler_problems(sampler, *limits)
         if self.sampler is None:
             problems = ["sampler: allowed in place of another one"]
         if problems:
@@ -523,6 +524,14 @@ class BatchEngine:
         """
         return ~self._have_status(ABSENT)
 
+    @property
+    def decoys(self) -> Flags:
+        """Flags of the empty ROIs of each world's present episode, (W, m) bool."""
+        field, codes = self._backend.geometry.field, self._backend.host(self._backend.now.codes)
+        bits, every = self._backend.host(field.roi_bits), self._backend.host(field.codes)
+        empty: Flags = (bits.T & np.where(codes == 0, 0, every & ~codes)[:, None]) != 0
+        return empty  # none before the first reset, when there are no codes
+
     def _have_status(self, status: int) -> Flags:
         found: Flags = self._backend.empty((self.num_worlds, self.n_robots), self._backend.xp.bool)
         found[...] = status == self._backend.now.status.T if self.may_rest else False
@@ -537,6 +546,7 @@ class BatchEngine:
         outcome = int(backend.output.outcomes[world]) if steps else 0
         left_out = outcome & RESTED and bool(backend.memory.pending[world])
         bits = host(backend.geometry.field.roi_bits[: len(field.rois), f])
+        empty = self.decoys[world, : len(bits)]
         team = int(backend.geometry.field.robots_in[f])
         failed = np.zeros(n, np.bool_)
         if self.may_rest:
@@ -551,7 +561,8 @@ class BatchEngine:
             field=field,
             positions=np.stack([host(now.x[:team, world]), host(now.y[:team, world])], axis=-1),
             velocities=np.stack([host(now.vx[:team, world]), host(now.vy[:team, world])], axis=-1),
-            visited=(visited & bits) != 0,
+            visited=((visited & bits) != 0) & ~empty,
+            empty=empty,
             headings=headings[:team],
             failed=failed[:team],
             gone=failed[:team] & vanish,

@@ -38,6 +38,8 @@ def _values(
     width, height = map(float, arena)
     failures = config.failures or Failures()
     failing_first, failing_last = failures.between or (0, 0)
+    radii = config.sensing_radius, config.comm_radius
+    least_decoys, most_decoys = config.decoy_range
     return {
         **{name: getattr(config, name) for name in NUMBERS},
         "zero": 0.0,
@@ -55,6 +57,10 @@ def _values(
         "safety_squared": config.safety_distance**2,
         "roi_squared": config.roi_radius**2,
         "sensing_squared": config.sensing_radius**2,
+        "notice_squared": (max(radii) if config.knowledge == "own" else radii[0]) ** 2,
+        "comm_squared": config.comm_radius**2,
+        "look_squared": -1.0 if config.look_radius is None else config.look_radius**2,  # -1: rho's
+        "comm_loss": config.comm_loss,
         "whole": Weights(*weights),
         "share": Weights(*(weight / n for weight in weights)),  # of what the whole team gets
         "per_arena_x": _reciprocal(width, real),
@@ -76,6 +82,9 @@ def _values(
         "observation": OBSERVATIONS[config.observation],
         "keeps_plan": config.assignment is True,
         "one_hot": config.one_hot,
+        "hidden_rois": config.hidden_rois,
+        "least_decoys": least_decoys,
+        "most_decoys": most_decoys,
         "random_starts": config.random_starts,
         "action_delay": config.action_delay,
         "max_steps": config.max_steps,

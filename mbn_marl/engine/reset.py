@@ -8,6 +8,7 @@ from mbn_marl.engine.mdp.drawn_numbers import draw_numbers, draws_numbers, numbe
 from mbn_marl.engine.mdp.dynamics import face_along_x
 from mbn_marl.engine.mdp.events import all_visited, in_field, too_close, visit_code
 from mbn_marl.engine.mdp.failures import begin_status, may_rest
+from mbn_marl.engine.mdp.knowledge import begin_knowledge, draw_decoys
 from mbn_marl.engine.mdp.paths import find_paths
 from mbn_marl.engine.mdp.revisits import LEAST_WORDS, ODD_LINES, clear_filter, joint_state_known
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED, RESTED
@@ -124,10 +125,11 @@ def reset_world(p, g, mem, now, w):
     face_along_x(p, g, now, w)
     begin_status(now, team, w)
     now.team_return[w] = 0.0
-    now.codes[w] = field.codes[f]
-    now.visited[w] = all_visited(field.rois.shape[1]) & ~field.codes[f]
+    now.codes[w] = field.codes[f] & ~draw_decoys(p, g, now, key, w)
+    now.visited[w] = all_visited(field.rois.shape[1]) & ~now.codes[w]
     now.steps[w] = 0
     begin_disturbances(p, mem, now, key, w)
+    begin_knowledge(p, g, mem, now, w)
     mem.words[w] = np.uint64(
         LEAST_WORDS if p.rules == RELEASED else mem.filter.shape[1] - ODD_LINES
     )

@@ -25,6 +25,7 @@ class Snapshot:
         failed: (n,) bool, whether each robot has failed in this episode.
         gone: (n,) bool, whether each robot has vanished in this episode: it touches nothing.
         visited: (m,) bool, whether each ROI has been visited in this episode.
+        empty: (m,) bool, whether each ROI is empty in this episode; no recorded episode tells.
         trail: (step + 1, n, 2), units: the positions of every robot since the reset, the reset
             first, the current ones last.
         step: steps since the reset, 0 to T_max.
@@ -52,13 +53,14 @@ class Snapshot:
     safety_distance: float
     success: bool
     collision: bool
+    empty: NDArray[np.bool_] | np.bool_ = np.False_
 
     def judged(self) -> Self:
         at = self.positions[~self.gone]
         first, second = np.triu_indices(len(at), 1)
         squared = ((at[first] - at[second]) ** 2).sum(axis=1)
         collision = bool((squared < self.safety_distance**2).any())
-        success = bool(self.visited.all()) and not collision
+        success = bool((self.visited | self.empty).all()) and not collision
         return replace(self, success=success, collision=collision)
 
     @property

@@ -20,6 +20,7 @@ from mbn_marl.engine.mdp.assignment import plan_size
 from mbn_marl.engine.mdp.disturbances import DISTURBANCES, OF_ACTIONS, OF_SIGHT, any_on
 from mbn_marl.engine.mdp.drawn_numbers import is_drawn, rows_drawn
 from mbn_marl.engine.mdp.dynamics import count_headings
+from mbn_marl.engine.mdp.knowledge import knowledge_rows
 from mbn_marl.engine.mdp.paths import Paths
 from mbn_marl.engine.mdp.revisits import ODD_LINES, filter_size
 from mbn_marl.engine.mdp.sight import count_sensed
@@ -69,8 +70,8 @@ class Episode(NamedTuple):
     wall_hits: Array  # (n, W) int32
     returns: Array  # (n, W) float64: each agent's rewards, summed
     team_return: Array  # (W,) float64
-    visited: Array  # (W,) int32: the visit code, and padding ROIs set from the start
-    codes: Array  # (W,) int32: Tables.codes of the episode's field
+    visited: Array  # (W,) int32: the visit code, and empty and padding ROIs set from the start
+    codes: Array  # (W,) int32: Tables.codes of the episode's field, without empty ROIs
     steps: Array  # (W,) int32
     heading: Array  # (n, W) real, radians; (0, W) if no robot of the team has one
     cos: Array  # (n, W) real: of the heading, 0 for a robot without one; (0, W) likewise
@@ -79,6 +80,7 @@ class Episode(NamedTuple):
     queue: Array  # (2 n (delay + 1), W) real: the last actions sent; (0, 0, W) if undisturbed
     drawn: Array  # (rows_drawn, W) real: drawn numbers; (0, 0, W) if nothing is drawn
     status: Array  # (n, W) int8, see failures.WORKS ...; (0, 0, W) if all always work
+    knows: Array  # (knowledge_rows, W) int32; (0, 0, W) if the team shares all it knows
 
 
 class Memory(NamedTuple):
@@ -122,6 +124,7 @@ def make_episode(
     reals |= {name: xp.zeros(headings, dtype=real) for name in ("heading", "cos", "sin")}
     off = (0, 0, worlds)
     sent, rows = 2 * n * (config.action_delay + 1), rows_drawn(config, n)
+    own = (knowledge_rows(config, n), worlds) if config.knowledge == "own" else off
     return Episode(
         **reals,
         wall_hits=xp.zeros(robots, dtype=xp.int32),
@@ -134,6 +137,7 @@ def make_episode(
         queue=xp.zeros((sent, worlds) if any_on(config, OF_ACTIONS) else off, dtype=real),
         drawn=xp.zeros((rows, worlds) if rows else off, dtype=real),
         status=xp.zeros(robots if config.failures or teams_vary else off, dtype=xp.int8),
+        knows=xp.zeros(own, dtype=xp.int32),
     )
 
 
@@ -146,7 +150,8 @@ def make_memory(
     motion = 3 if now.heading.shape[0] else 2
     sensed = (count_sensed(n, m), worlds) if any_on(config, OF_SIGHT) else (0, 0, worlds)
     plan = (worlds, plan_size(n, m)) if config.assignment else (worlds, 0, 0)
-    keyed = any_on(config, DISTURBANCES) or config.failures is not None or is_drawn(config)
+    keyed = any_on(config, (*DISTURBANCES, "comm_loss")) or is_drawn(config)
+    keyed |= config.failures is not None
     words = filter_size(length * (1 if formal else n)) + ODD_LINES
     # As long as an episode can get; of zeros, so that NumPy takes memory only for what is written.
     trail = xp.zeros((worlds, length * n, 2), dtype=real)

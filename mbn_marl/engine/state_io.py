@@ -73,6 +73,7 @@ def limits(backend: Backend, edges: int, waypoints: int) -> dict[str, tuple[Any,
         "sin": (-1, 1),
         "queue": (-1, 1),
         "status": (0, ABSENT),
+        "knows": (0, everything),
     }
     if draws_numbers(backend.now):
         episode["drawn"] = drawn_limits(backend.host(g.team.ranges), real)

@@ -29,6 +29,7 @@ from mbn_marl.engine.mdp.disturbances import change_gust, disturbs_actions, send
 from mbn_marl.engine.mdp.drawn_numbers import numbers_of
 from mbn_marl.engine.mdp.dynamics import keep_heading, propose_move
 from mbn_marl.engine.mdp.failures import ABSENT, may_rest, status_of
+from mbn_marl.engine.mdp.knowledge import learn
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED
 from mbn_marl.engine.reset import ENDED, RESTARTS, clear_output, copy_episode
@@ -180,9 +181,10 @@ def hash_positions(mem, now, out, to, i, lo, hi):
 
 
 @compiled
-def pass_time(p, mem, now, lo, hi):
+def pass_time(p, g, mem, now, lo, hi):
     for w in range(lo, hi):
         now.steps[w] += 1
+    learn(p, g, mem, now, lo, hi)
     change_gust(p, mem, now, lo, hi)
 
 
@@ -346,7 +348,7 @@ def move_robots(p, g, mem, now, out, to, actions, lo, hi):
         record_positions(mem, now, lo, hi)
         for i in range(now.x.shape[0]):
             hash_positions(mem, now, out, to, i, lo, hi)
-    pass_time(p, mem, now, lo, hi)
+    pass_time(p, g, mem, now, lo, hi)
 
 
 @compiled

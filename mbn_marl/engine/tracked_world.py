@@ -165,7 +165,7 @@ def take_positions(arguments, positions, velocities, allowed):
         step.record_positions(mem, now, LO, HI)
         for i in range(n):
             step.hash_positions(mem, now, out, to, i, LO, HI)
-    step.pass_time(p, mem, now, LO, HI)
+    step.pass_time(p, g, mem, now, LO, HI)
     observe(p, g, mem, now, LO, HI, to.tile, out.observations)
     step.score_step(p, g, mem, now, out, to, LO, HI)
     return step.autoreset(arguments, LO, HI)

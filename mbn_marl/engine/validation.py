@@ -120,7 +120,9 @@ def set_field_problems(
     return problems
 
 
-def set_sampler_problems(sampler: FieldSampler, sizes: Sizes, teams_vary: bool) -> list[str]:
+def set_sampler_problems(
+    sampler: FieldSampler, sizes: Sizes, config: NavigationConfig, teams_vary: bool
+) -> list[str]:
     new, robots = sizes_of(sampler), sizes.robots
     least = 1 if teams_vary else robots
     problems = [
@@ -136,7 +138,7 @@ def set_sampler_problems(sampler: FieldSampler, sizes: Sizes, teams_vary: bool) 
         problems.append(f"sampler: {new.fewest_robots} robots; allowed: {robots}, as at first")
     if new.arena != sizes.arena:
         problems.append(f"sampler: arena {new.arena}; allowed: {sizes.arena}")
-    return problems
+    return problems + _decoy_problems(config, sampler.rois[0], "the sampler")
 
 
 def as_array(value: Any) -> NDArray[Any]:
@@ -200,7 +202,13 @@ def _sampler_problems(
     if (distance := config.at_most().safety_distance) > SPACING:
         allowed = f"at most {SPACING:g}, the least distance of starts that are drawn"
         problems.append(f"safety_distance: {distance}; allowed: {allowed}")
-    return problems
+    return problems + _decoy_problems(config, sampler.rois[0], "the sampler")
+
+
+def _decoy_problems(config: NavigationConfig, rois: int, source: str) -> list[str]:
+    if config.decoy_range[1] < rois:
+        return []
+    return [f"decoys: {config.decoys}; allowed: at most {rois - 1}, all but one ROI of {source}"]
 
 
 def as_starts(starts: ArrayLike | None) -> NDArray[Any] | None:
@@ -218,6 +226,7 @@ def field_problems(
     given_starts: NDArray[Any] | None,
 ) -> list[str]:
     """Return why this field does not fit this configuration; warn if an ROI covers it."""
+    decoys = _decoy_problems(config, len(field.rois), field.name)
     # Given starts may be those of an episode that drew the least safety distance.
     lowest = config.with_drawn({name: ends.low for name, ends in config.drawn.items()})
     config = config.at_most() if given_starts is None else lowest
@@ -245,4 +254,4 @@ def field_problems(
                     f"safety_distance: {config.safety_distance}; allowed: at most {apart:g}, "
                     f"the distance of starts {j} and {i} of {field.name}"
                 )
-    return problems
+    return problems + decoys

@@ -25,6 +25,8 @@ FOR_SENDING = np.uint64(5)
 FOR_SIGHT = np.uint64(6)
 FOR_NUMBERS = np.uint64(7)
 FOR_FIELDS = np.uint64(8)
+FOR_DECOYS = np.uint64(9)
+FOR_TELLING = np.uint64(10)
 
 # The start of the 40 bits that are counted; below them are two numbers of twelve bits.
 HIGH, LOW, TWELVE = np.uint64(24), np.uint64(0xFFF), np.uint64(12)

@@ -20,7 +20,7 @@ from mbn_marl.engine.mdp.observations import LIDARS, WITH_RAYS
 from tests.support.forms import BatchForm, CentralizedForm, Outcome, ParallelForm, TeamSharingForm
 from tests.support.oracle import Oracle
 from tests.support.scores import TERMS, Step
-from tests.support.worlds import ASSIGNED, DRAWN, Pilot, World, random_field, worlds
+from tests.support.worlds import ASSIGNED, DRAWN, OWN, Pilot, World, random_field, worlds
 
 pytestmark = pytest.mark.slow
 
@@ -110,8 +110,8 @@ class Together:
         self.forms = (
             ParallelForm(field, **options),
             BatchForm(field, num_worlds, which, **options),
-            CentralizedForm(field, **options),
             TeamSharingForm(field, **options),
+            *([] if self.oracle.knowledge else [CentralizedForm(field, **options)]),
         )
         self.reset(0)
 
@@ -121,7 +121,7 @@ class Together:
             assert_array_equal(form.reset(), self.oracle.state())
 
     def follow(self, actions: NDArray[np.float32], step: Step) -> None:
-        one, many, team, shared = outcomes = [form.step(actions) for form in self.forms]
+        one, many, shared, *team = outcomes = [form.step(actions) for form in self.forms]
         for outcome in outcomes:
             check_outcome(outcome, self.oracle, step, self.rounding)
         check_sights(one, self.oracle, self.dtype)
@@ -130,8 +130,9 @@ class Together:
             check_infos(outcome.infos, self.oracle, self.rounding)
         assert_array_equal(one.observations, many.observations)
         assert_array_equal(one.observations, shared.observations)
-        check_team_info(team, one.infos, self.rounding)
-        assert team.team_reward == many.team_reward == shared.team_reward
+        assert {outcome.team_reward for outcome in (shared, *team)} == {many.team_reward}
+        for outcome in team:
+            check_team_info(outcome, one.infos, self.rounding)
 
 
 def compare(world: World, dtype: str, num_worlds: int, which: int) -> Counter[str]:
@@ -147,6 +148,9 @@ def compare(world: World, dtype: str, num_worlds: int, which: int) -> Counter[st
             break
         together.follow(actions, step)
         seen.update(situations(step))
+        robots, rois = range(together.oracle.n), range(len(together.oracle.rois))
+        known = [[together.oracle.is_done(i, j) for j in rois] for i in robots]
+        seen["unaware"] += known != [together.oracle.visited] * len(robots)
         if step.terminated or step.truncated:
             together.reset()
     return seen
@@ -161,6 +165,8 @@ COMPILED: dict[str, tuple[str, tuple[int, ...], list[dict[str, Any]]]] = {
     "rays": ("float64", FEW, [{"observation": name} for name in LIDARS]),
     "all of it": ("float64", TEAMS, [DRAWN]),
     "and entities": ("float32", FEW, [{**DRAWN, **ASSIGNED}]),
+    "own": ("float64", FEW, [{**DRAWN, **OWN, "hidden_rois": True, "observation": "entities"}]),
+    "own, local": ("float64", FEW, [{**OWN, "observation": f"{by}local"} for by in ("", "lidar_")]),
     "and entities, fresh": ("float32", FEW, [{**DRAWN, **ASSIGNED, "assignment": "fresh"}]),
 }
 *GATE, LAST = COMPILED
@@ -182,16 +188,18 @@ def failures_of(n: int) -> st.SearchStrategy[Failures]:
 def test_all_forms_agree_with_the_oracle(name: str) -> None:
     seen: Counter[str] = Counter()
     dtype, teams, choices = COMPILED[name]
-    disturbed = choices[0].keys() >= DRAWN.keys()
+    disturbed, own = choices[0].keys() >= DRAWN.keys(), "knowledge" in choices[0]
 
     def agree(world: World, num_worlds: int, data: st.DataObject) -> None:
-        n, which = len(world.behaviours), 0  # the world that the other forms are, if disturbed
+        n, which = len(world.behaviours), 0  # the world that the other forms are, if it is random
         options = data.draw(st.sampled_from(choices))
-        if disturbed:
+        if disturbed or own:
             options = {**options, "failures": data.draw(failures_of(n))}
             options["dynamics"] = tuple((ORDER * n)[:n])
         else:
             which = data.draw(st.integers(0, num_worlds - 1), label="world")
+        if own:
+            options["decoys"] = (0, min(2, len(world.field.rois) - 1))
         world = replace(world, settings=world.settings | options)
         seen.update(compare(world, dtype, num_worlds, which))
 
@@ -199,6 +207,7 @@ def test_all_forms_agree_with_the_oracle(name: str) -> None:
         repeat = settings(max_examples=EXAMPLES)
         repeat(given(worlds(n), st.integers(1, 5), st.data())(agree))()
     assert seen.pop("tie", 0) <= len(teams) * EXAMPLES / 4
+    assert (seen["unaware"] > 30) == own
     expected = {"wall", "revisit", "roi", "success", "collision", "truncated", "known state"}
     expected |= {"failed", "all failed"} if disturbed else set()
     if teams == TEAMS:

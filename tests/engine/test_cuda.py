@@ -24,6 +24,7 @@ from mbn_marl.engine.tables import make_geometry, sizes_of
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import FieldSampler, load_field
 from mbn_marl.field.generator.layout import FAMILIES
+from tests.support.worlds import OWN
 
 torch = pytest.importorskip("torch")
 ROOT = Path(__file__).parents[2]
@@ -112,6 +113,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
         {"dynamics": "bicycle", "failures": {"rate": 0.1}},
         {"condition": "storm", "v_clip": Uniform(4.0, 6.0)},
         {"field": FieldSampler(FAMILIES, robots=(1, 3))},
+        {**OWN, "observation": "entities", "hidden_rois": True},
     ],
     ids=str,
 )

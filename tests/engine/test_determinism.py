@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mbn_marl import BatchEngine, Failures, Uniform, centralized_env, parallel_env
 from mbn_marl.errors import ConfigError, StepError
 from tests.support.configurations import EVERYTHING, SAMPLER, STORM
+from tests.support.worlds import OWN_DRAWN
 
 pytestmark = pytest.mark.slow
 STEPS = 1000
@@ -94,8 +95,9 @@ def test_interleaved_instances_and_copies_agree_bitwise(make: Callable[..., Any]
         ("field_03", {"autoreset": "next_step", **SETTINGS}),
         ("field_03", {"reward": "formal", **DISTURBED, **SETTINGS}),
         (SAMPLER, {"autoreset": False, **STORM, "max_steps": 12}),
+        ("field_03", {**OWN_DRAWN, "max_steps": 40}),
     ],
-    ids=["plain", "disturbed", "sampler"],
+    ids=["plain", "disturbed", "sampler", "own"],
 )
 def test_engine_continues_from_saved_arrays(
     source: Any, settings: dict[str, Any], tmp_path: Path
@@ -141,6 +143,7 @@ CASES: dict[str, dict[str, Any]] = {
     "lidar": {"field": ["field_06", "field_09"], "observation": "lidar"},
     "disturbed": {"field": "field_03", **DISTURBED},
     "storm": {"field": "field_04", **STORM},
+    "own": {"field": "field_03", **OWN_DRAWN},
     "float64": {"field": "field_01", "dtype": "float64", "reward_sharing": "team"},
 }
 LIVELY = {"max_steps": 50, "safety_distance": 20.0, "random_starts": True, "wind": (0.05, 40.0)}

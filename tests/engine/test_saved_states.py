@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mbn_marl import BatchEngine, Failures, Uniform
 from mbn_marl.errors import MbnError, ProblemsError
 from tests.support.configurations import EVERYTHING, SAMPLER, STORM
+from tests.support.worlds import OWN_DRAWN
 
 STORMY = {**STORM, "n_robots": 4, "failures": Failures(rate=0.01), "action_delay": 2}
 FORMAL: dict[str, Any] = {
@@ -25,8 +26,9 @@ CONFIGURATIONS: dict[str, tuple[Any, dict[str, Any]]] = {
     "kept plan": ("field_04", {**STORM, "assignment": True, "action_delay": 1}),
     "storm": (SAMPLER, STORMY),
     "disabled": (SAMPLER, {**STORMY, "autoreset": False}),
+    "own": ("field_03", {**OWN_DRAWN, "max_steps": 40}),
 }
-EDITS = {"default": 4000, "formal": 2000, "kept plan": 2000, "storm": 1200, "disabled": 800}
+EDITS = dict.fromkeys(CONFIGURATIONS, 1000) | {"default": 4000, "formal": 2000, "kept plan": 2000}
 BAD = (0, 1, -1, -2, 2, 3, 5, 24, 31, 64, 99, 127, 255, 1000, 2**31 - 1, -(2**31), 2**40, 2**62)
 REALS = (np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-30, 0.5, -0.5, 1e308)
 
@@ -62,6 +64,7 @@ def put(where: Any, value: Any) -> Callable[[NDArray[Any]], None]:
         ("formal", "now.heading", put((2, 1), 4.0), "now.heading"),
         ("kept plan", "memory.plan", put((1, 4), 24), r"memory.plan\[1, 4\] \(world 1\)"),
         ("kept plan", "memory.plan", put((1, slice(3, 24)), 0), r"memory.plan: not so in world 1"),
+        ("own", "now.knows", put((2, 1), 1 << 6), r"now.knows\[2, 1\] \(world 1\)"),
         ("storm", "geometry.robots_in", put(4, 99), r"geometry.robots_in\[4\].*0 to 4"),
         ("storm", "geometry.ways_in", put((1, 2), 99), r"geometry.ways_in\[1, 2\] \(world 2\)"),
         ("storm", "geometry.boxes", put((2, 0), np.inf), "geometry.boxes"),

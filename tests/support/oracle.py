@@ -11,8 +11,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from mbn_marl.config import KNOWLEDGE
 from tests.support.disturbances import FAILURES, Disturbances, key_of, uniform
 from tests.support.draws import NUMBERS, drawn_settings, highest, is_range
+from tests.support.knowledge import Knowledge, drawn_decoys
 from tests.support.scores import Profile, Step, formal_reward, released_reward
 from tests.support.tokens import Atlas, Plan, entities
 from tests.support.vehicles import REALS, Robot, Vehicle, clip
@@ -57,7 +59,9 @@ class Oracle:
         failure_rate: float = 0.0,
         fails: dict[int, int] | None = None,
         wind_vector: tuple[float, float] | None = None,
-        **disturbances: Any,
+        knowledge: str = "team",
+        decoys: int | tuple[int, int] = 0,
+        **more: Any,
     ) -> None:
         real = self.real = REALS[dtype]
         self.n = len(field.starts) if n_robots is None else n_robots
@@ -90,7 +94,10 @@ class Oracle:
         self.token = 9 + 2 * bool(assignment)
         self.sensing_radius = sensing_radius
         self.failures, self.failure_rate, self.fails = failures, failure_rate, fails or {}
-        self.disturbances = Disturbances(real, *self.place, **disturbances)
+        telling = {name: more.pop(name) for name in KNOWLEDGE[1:] if name in more}
+        self.knowledge = Knowledge(self, **telling) if knowledge == "own" else None
+        self.empty = drawn_decoys(decoys, len(self.rois), *self.place, self.episode)
+        self.disturbances = Disturbances(real, *self.place, **more)
 
     def reset(self, episode: int | None = None) -> None:
         self.episode = self.episode + 1 if episode is None else episode
@@ -102,7 +109,7 @@ class Oracle:
             Robot(vehicle, self.real(x), self.real(y), zero, zero, zero)
             for vehicle, (x, y) in zip(self.vehicles, self.field.starts, strict=False)
         ]
-        self.visited = [False] * len(self.rois)
+        self.visited = [j in self.empty for j in range(len(self.rois))]
         self.stood_on: set[tuple[float, float]] = set()
         self.joint_states = {self._joint_state()}
         self.steps = 0
@@ -111,11 +118,26 @@ class Oracle:
         fresh = self.assignment == "fresh"
         self.plan = Plan(self.atlas, len(self.robots), fresh=fresh) if self.atlas else None
         self._assign()
+        if self.knowledge:
+            self.knowledge.begin()
 
     @property
     def visit_code(self) -> int:
         """The visit bits as a number; the first ROI is the most significant bit."""
-        return int("".join("1" if seen else "0" for seen in self.visited), 2)
+        bits = (seen and j not in self.empty for j, seen in enumerate(self.visited))
+        return int("".join("1" if bit else "0" for bit in bits), 2)
+
+    def is_done(self, i: int, j: int) -> bool:
+        """Whether robot i knows that ROI j is visited or empty."""
+        return ("done", j) in self.knowledge.words[i] if self.knowledge else self.visited[j]
+
+    def is_left(self, i: int, j: int) -> bool:
+        found = not self.knowledge or ("found", j) in self.knowledge.words[i]
+        return found and not self.is_done(i, j)
+
+    def notices(self, me: Robot, other: Robot) -> bool:
+        radius = self.knowledge.notice if self.knowledge else math.inf
+        return math.dist(me.position, other.position) <= radius
 
     def state(self) -> tuple[float, ...]:
         """The paper's vector (4n+1,); headings and failures come before the visit code."""
@@ -147,6 +169,8 @@ class Oracle:
         step.met_before = state in self.joint_states
         self.joint_states.add(state)
         self.steps += 1
+        if self.knowledge:
+            step.margin = min(step.margin, self.knowledge.learn())
         self._end(step)
         self._reward(step)
         self._assign()
@@ -171,7 +195,8 @@ class Oracle:
         here = self.robots[i]
         there = replace(here, x=here.x + self.real(shift[0]), y=here.y + self.real(shift[1]))
         me, *others = self._seen_robots(i, there)
-        rois = [*zip(self.rois, self.visited, strict=True), *[(self.rois[0], True)] * missing]
+        rois = [(roi, self.is_done(i, j)) for j, roi in enumerate(self.rois)]
+        rois += [(self.rois[0], True)] * missing
         if self.observation == "state":
             seen = [body.seen * body.position for body in (me, *others)]
             seen += [body.seen * body.velocity for body in (me, *others)]
@@ -192,17 +217,19 @@ class Oracle:
             for other in others:
                 turn = (other.velocity - me.velocity) / (2 * self.top_speed)
                 ahead = [other.ahead] * self.turning
-                sight = self._sight(other.position - me.position, turn, *ahead)
+                notice = self.knowledge.notice if self.knowledge else self.sensing_radius
+                sight = self._sight(other.position - me.position, notice, turn, *ahead)
                 if lidar:
                     distance = math.dist(other.position, me.position)
                     sight.append(np.array([max(0.0, 1.0 - distance / reach)]))
-                seen += [(other.seen and not self._gone(other)) * entries for entries in sight]
-                seen.append(self._flag(other))
+                seen += [(other.seen and not self.gone(other)) * entries for entries in sight]
+                seen.append(self.notices(me, other) * self._flag(other))
             for j, (roi, visited) in enumerate(rois):
                 place, is_seen = self.disturbances.seen(i, 64 + j, roi, self.bounds)
                 offset = np.array(place) - me.position
                 direction = [offset / (math.hypot(*offset) + 1.0)] if lidar else []
-                seen += [is_seen * entries for entries in self._sight(offset, *direction)]
+                sight = self._sight(offset, self.sensing_radius, *direction)
+                seen += [is_seen * entries for entries in sight]
                 seen.append(np.array([visited]))
             if lidar:
                 seen.append(self._walls(there, reach))
@@ -224,14 +251,16 @@ class Oracle:
     def _flag(self, robot: Robot) -> NDArray[Any]:
         return np.array([robot.failed] if self.failures else [], float)
 
-    def _gone(self, robot: Robot) -> bool:
+    def gone(self, robot: Robot) -> bool:
         return robot.failed and self.failures.kind == "vanish"
 
-    def _sight(self, offset: NDArray[Any], *more: NDArray[Any]) -> list[NDArray[Any]]:
+    def _sight(
+        self, offset: NDArray[Any], radius: float, *more: NDArray[Any]
+    ) -> list[NDArray[Any]]:
         entries = [offset / np.array([self.width, self.height]), *more]
         if self.observation not in ("local", "lidar_local"):
             return entries
-        near = math.hypot(*offset) <= self.sensing_radius
+        near = math.hypot(*offset) <= radius
         flag = [np.array([near])] if self.observation == "local" else []
         return [*flag, *(near * entry for entry in entries)]
 
@@ -264,7 +293,7 @@ class Oracle:
         return {
             "success": self.success,
             "collision": self.collision,
-            "rois_visited": sum(self.visited),
+            "rois_visited": sum(self.visited) - len(self.empty),
             "steps": self.steps,
             "episode_return": self.episode_return,
             "wall_hits": [robot.wall_hits for robot in self.robots],
@@ -318,7 +347,7 @@ class Oracle:
     def _visit(self, robot: Robot, step: Step) -> int:
         """Rule 5. Returns how many ROIs the robot is credited with reaching first."""
         count = 0
-        if self._gone(robot):
+        if self.gone(robot):
             return count
         for index, (x, y) in enumerate(self.rois):
             if not self.visited[index]:
@@ -332,7 +361,7 @@ class Oracle:
     def _any_collision(self, step: Step) -> bool:
         """The predicate of rule 7: some pair is closer than the safety distance."""
         found = False
-        there = [robot for robot in self.robots if not self._gone(robot)]
+        there = [robot for robot in self.robots if not self.gone(robot)]
         for i, one in enumerate(there):
             for other in there[:i]:
                 distance = math.hypot(one.x - other.x, one.y - other.y)

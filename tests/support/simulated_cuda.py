@@ -21,7 +21,7 @@ from mbn_marl.field import FieldSampler
 from mbn_marl.field.generator.layout import FAMILIES
 from tests.engine.test_golden import golden_field
 from tests.golden import Episode, load_episodes
-from tests.support.worlds import ASSIGNED
+from tests.support.worlds import ASSIGNED, OWN
 
 SPREAD = sorted(load_episodes(), key=lambda episode: len(episode.actions))[::18]
 WORLDS = 3  # with two threads in a block: the last block is not full
@@ -142,6 +142,10 @@ CASES: dict[str, dict[str, Any]] = {
     "features, vanishing": {
         **{"observation": "lidar", "reward": "formal", **HARD},
         **{"dynamics": MIXED, "failures": {"rate": 0.05, "kind": "vanish"}},
+    },
+    "features, own": {
+        **{"observation": "entities", "hidden_rois": True, **OWN, "comm_radius": 90.0},
+        **{"failures": {"rate": 0.02, "kind": "vanish"}, "roi_radius": 40.0},
     },
     "random_fields, state": {"field": LARGE, "observation": "state", **BLOWN},
     "random_fields, relative": {"field": FieldSampler(robots=(2, 3)), **BLOWN},

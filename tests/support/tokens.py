@@ -189,7 +189,6 @@ class Plan:
 def entities(oracle: Any, i: int, there: Any, me: Any, others: list[Any]) -> Iterator[Any]:
     """The entries for robot i of an oracle, which is ``there`` and sees itself as ``me``."""
     rois, atlas, tau = oracle.rois, oracle.atlas, float(oracle.tau)
-    left = [j for j, visited in enumerate(oracle.visited) if not visited]
     plan, tours = oracle.plan, [0.0] * len(oracle.robots)
     if plan:
         tours = [soft(float(tour), FAR) for tour in plan.tours]
@@ -205,13 +204,14 @@ def entities(oracle: Any, i: int, there: Any, me: Any, others: list[Any]) -> Ite
         token += [soft(math.hypot(*d), NEAR), soft(approach(d, dv, 15 * tau), NEAR)]
         token += [*other.ahead] * oracle.turning
         token += [*oracle._flag(other), *([tours[k + (k >= i)]] if plan else [])]
-        yield (other.seen and not oracle._gone(other)) * np.array(token)
+        shown = other.seen and oracle.notices(me, other) and not oracle.gone(other)
+        yield shown * np.array(token)
     for j, roi in enumerate(rois):
         place, is_seen = oracle.disturbances.seen(i, 64 + j, roi, oracle.bounds)
         rivals = [
             soft(math.dist(other.position, place), FAR)
             for other in others
-            if other.seen and not other.failed
+            if other.seen and oracle.notices(me, other) and not other.failed
         ]
         token = [1.0, *toward(place, me.position), min([*rivals, 1.0])]
         if plan:
@@ -219,7 +219,7 @@ def entities(oracle: Any, i: int, there: Any, me: Any, others: list[Any]) -> Ite
             if corner is not None:
                 token[1:8] = [*toward(corner, me.position)[:-1], soft(float(way), FAR)]
             token += [plan.turn(i, j), straight]
-        yield (j in left and is_seen) * np.array(token)
+        yield (oracle.is_left(i, j) and is_seen) * np.array(token)
 
 
 def toward(place: Any, spot: Any) -> list[float]:

@@ -11,7 +11,7 @@ import shapely
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from mbn_marl import Field
+from mbn_marl import Failures, Field
 from mbn_marl.config import WITHOUT_RADIUS, RewardProfile, Uniform
 from tests.support.oracle import Oracle
 
@@ -25,6 +25,10 @@ DISTURBANCES = {
 }
 
 ASSIGNED = {"observation": "entities", "assignment": True}
+OWN = {
+    **{"knowledge": "own", "comm_radius": 60.0, "look_radius": 20.0, "sensing_radius": 50.0},
+    **{"comm_delay": 2, "comm_loss": 0.3, "decoys": (0, 2)},
+}  # Hidden ROIs are for entities alone
 DRAWN = {
     **{name: Uniform(0.2 * value, value) for name, value in DISTURBANCES.items()},
     **{"action_delay": 1, "wind": (Uniform(0.0, 0.3), Uniform(-720.0, 720.0))},
@@ -33,6 +37,10 @@ DRAWN = {
     **{"safety_distance": Uniform(8.0, APART), "turn_max": Uniform(0.1, 3.0)},
     **{"wheelbase": Uniform(0.6, 4.0), "steer_max": Uniform(0.1, 1.2)},
 }  # Every number that may be drawn, but the failures'
+OWN_DRAWN: dict[str, Any] = {
+    **{**DRAWN, **OWN, "observation": "entities", "hidden_rois": True, "dtype": "float64"},
+    **{"dynamics": "mixed", "failures": Failures(rate=0.01, kind="vanish")},
+}
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.assignment import STRAIGHT, Tours, assigns, way_to
 from mbn_marl.engine.mdp.drawn_numbers import numbers_of
 from mbn_marl.engine.mdp.failures import WORKS, blank_gone, put_flag, status_of
+from mbn_marl.engine.mdp.knowledge import hide_unnoticed, is_left, knows_own, notices
 from mbn_marl.engine.mdp.sight import (
     Row,
     disturbs_sight,
@@ -154,6 +155,8 @@ def put_place(p, g, view, lo, hi, j, k):
                 counts = status_of(view.ep, other, w) == WORKS
                 if disturbs_sight(view):
                     counts &= view.sensed[other, w] != 0
+                if knows_own(view.ep):
+                    counts &= notices(p, view, other, w)
                 away = select(counts, soft(norm(dx, dy), scales[1]), p.one)
                 tile[k + 8, w - lo] = min(tile[k + 8, w - lo], away)
     return k + 9
@@ -189,9 +192,8 @@ def put_plan(p, g, view, lo, hi, j, k):
 
 @compiled
 def blank_visited(p, g, view, lo, hi, j, k, end):
-    field, visited = g.field, view.ep.visited
     for w in range(lo, hi):
-        left = p.one if (visited[w] & field.roi_bits[j, column(field, w)]) == 0 else p.zero
+        left = p.one if is_left(p, g, view.ep, view.i, j, w) else p.zero
         for entry in range(k, end):
             view.tile[entry, w - lo] *= left
 
@@ -215,6 +217,8 @@ def put_entities(p, g, view, lo, hi):
                     view.tile[k, w - lo] = soft(view.plan[w, j], scale)
                 k += 1
             drop(view, lo, hi, j, first, k)
+            if knows_own(view.ep):
+                hide_unnoticed(p, view, lo, hi, j, first, k)
             blank_gone(p, view, lo, hi, j, first, k)
     for j in range(g.field.rois.shape[1]):
         first = k

@@ -2,7 +2,7 @@
 
 # Entries are float32 and bounded: scaled to [-1, 1] by the arena, the speed limit and the sensing
 # radius, but for ``entities`` (``entities.py``) and ``state``, the paper's vector in raw units with
-# the own robot first. The visit bits of the ROIs are shared by the team in all of them.
+# the own robot first. The visit bits of the ROIs are those that the robot knows (``knowledge.py``).
 #
 # ``put_...`` functions write entries from k on, or from 0 on, for worlds lo to hi - 1, and return
 # how many there are by then; ``put_flag``, ``put_heading`` and ``put_failed`` how many they wrote.
@@ -21,6 +21,7 @@ from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.entities import entity_rows, put_entities, shows_entities
 from mbn_marl.engine.mdp.events import visit_code, within
 from mbn_marl.engine.mdp.failures import blank_absent, blank_gone, put_flag
+from mbn_marl.engine.mdp.knowledge import hide_unnoticed, is_done, knows_own
 from mbn_marl.engine.mdp.lidar import has_rays
 from mbn_marl.engine.mdp.sight import (
     Robots,
@@ -199,33 +200,25 @@ def put_roi(p, g, view, lo, hi, j, k):
         f = column(field, w)
         tile[k, w - lo] = (roi_place(g, view, 0, j, f, w) - robots.x[i, w]) * p.per_arena_x
         tile[k + 1, w - lo] = (roi_place(g, view, 1, j, f, w) - robots.y[i, w]) * p.per_arena_y
-        tile[k + 2, w - lo] = p.one if (robots.visited[w] & field.roi_bits[j, f]) != 0 else p.zero
+        tile[k + 2, w - lo] = p.one if is_done(g, view.ep, i, j, w) else p.zero
 
 
 @compiled
-def hide_other(p, view, lo, hi, j, first, end):
-    """Hide robot j, in entries first to end - 1, where it is far; ``local`` has a flag first."""
-    k = first + (1 if p.observation == LOCAL else 0)
-    robots, tile, i = view.robots, view.tile, view.i
-    for entry in range(first, end):
-        for w in range(lo, hi):
-            dx, dy = robots.x[j, w] - robots.x[i, w], robots.y[j, w] - robots.y[i, w]
-            near = select(within(dx, dy, p.sensing_squared), p.one, p.zero)
-            tile[entry, w - lo] = near * select(entry < k, p.one, tile[entry, w - lo])
+def put_present(p, view, lo, hi, k):
+    for w in range(lo, hi):
+        view.tile[k, w - lo] = p.one
 
 
 @compiled
 def hide_roi(p, g, view, lo, hi, j, first, end):
-    """Hide ROI j where it is far, as ``hide_other`` does; its visit bit, after them, stays."""
-    k = first + (1 if p.observation == LOCAL else 0)
+    """Hide ROI j, in entries first to end - 1, where it is far."""
     robots, tile, i = view.robots, view.tile, view.i
     for entry in range(first, end):
         for w in range(lo, hi):
             f = column(g.field, w)
             dx = roi_place(g, view, 0, j, f, w) - robots.x[i, w]
             dy = roi_place(g, view, 1, j, f, w) - robots.y[i, w]
-            near = select(within(dx, dy, p.sensing_squared), p.one, p.zero)
-            tile[entry, w - lo] = near * select(entry < k, p.one, tile[entry, w - lo])
+            tile[entry, w - lo] *= select(within(dx, dy, p.sensing_squared), p.one, p.zero)
 
 
 @compiled
@@ -233,7 +226,10 @@ def end_other(p, view, lo, hi, j, first, end):
     """Blank the entries of robot j where it is not sensed or gone; add its flag; where they end."""
     drop(view, lo, hi, j, first, end)
     blank_gone(p, view, lo, hi, j, first, end)
-    return end + put_flag(view.ep, lo, hi, j, view.tile, end)
+    flags = put_flag(view.ep, lo, hi, j, view.tile, end)
+    if knows_own(view.ep):
+        hide_unnoticed(p, view, lo, hi, j, end, end + flags)
+    return end + flags
 
 
 @compiled
@@ -246,11 +242,13 @@ def put_relative(p, g, view, lo, hi):
         if j != view.i:
             put_other(p, view, lo, hi, j, k + flag)
             if local:
-                hide_other(p, view, lo, hi, j, k, k + 1 + body)
+                put_present(p, view, lo, hi, k)
+                hide_unnoticed(p, view, lo, hi, j, k, k + 1 + body)
             k = end_other(p, view, lo, hi, j, k, k + flag + body)
     for j in range(g.field.roi_bits.shape[0]):
         put_roi(p, g, view, lo, hi, j, k + flag)
         if local:
+            put_present(p, view, lo, hi, k)
             hide_roi(p, g, view, lo, hi, j, k, k + 3)
         drop(view, lo, hi, n + j, k, k + flag + 2)
         k += flag + 3
@@ -279,7 +277,7 @@ def put_lidar(p, g, view, lo, hi):
             put_other(p, view, lo, hi, j, k)
             lidar.put_near(p, g, view, lo, hi, j, k + body)
             if local:
-                hide_other(p, view, lo, hi, j, k, k + body)
+                hide_unnoticed(p, view, lo, hi, j, k, k + body)
             k = end_other(p, view, lo, hi, j, k, k + body + 1)
     for j in range(g.field.roi_bits.shape[0]):
         put_roi(p, g, view, lo, hi, j, k)
@@ -294,7 +292,7 @@ def put_lidar(p, g, view, lo, hi):
 @compiled
 def write_observation(p, g, mem, ep, i, lo, hi, tile):
     """Write what robot i observes to ``tile`` (size, at least hi - lo), worlds side by side."""
-    robots = Robots(ep.x, ep.y, ep.vx, ep.vy, ep.visited, ep.cos, ep.sin)
+    robots = Robots(ep.x, ep.y, ep.vx, ep.vy, ep.cos, ep.sin)
     if disturbs_sight(mem):
         look(p, g, mem, ep, i, lo, hi)
         robots = sensed_robots(mem, ep, g.field.roi_bits.shape[0])

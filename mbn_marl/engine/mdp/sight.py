@@ -42,7 +42,6 @@ class Robots(NamedTuple):
     y: Any
     vx: Any
     vy: Any
-    visited: Any
     cos: Any
     sin: Any
 
@@ -56,7 +55,7 @@ def sensed_robots(mem, ep, m):
     n, sensed = ep.x.shape[0], mem.sensed
     x, y, vx, vy = n + m, 2 * n + m, 3 * n + m, 4 * n + m
     motion = sensed[x:y], sensed[y:vx], sensed[vx:vy], sensed[vy : vy + n]
-    return Robots(*motion, ep.visited, ep.cos, ep.sin)
+    return Robots(*motion, ep.cos, ep.sin)
 
 
 @compiled

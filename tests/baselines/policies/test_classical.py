@@ -19,6 +19,7 @@ from mbn_marl import BatchEngine, Field, load_field
 from mbn_marl.config import Failures, make_config
 from mbn_marl.episode import check_episode, load_episode
 from mbn_marl.errors import ConfigError
+from mbn_marl.planning import plan
 from tests.baselines.conftest import Refusal
 
 pytestmark = pytest.mark.slow
@@ -30,6 +31,18 @@ def test_classical_policies(name: str, makespan: int) -> None:
     summary = evaluate(make_classical(name, FIELD, {}), FIELD, {}, episodes=3).summary()
     assert (summary["success_rate"], summary["wall_hits"]) == (1.0, 0.0)
     assert 17.0 <= summary["makespan"] <= makespan + (name == "greedy")
+
+
+def test_they_leave_out_the_empty_rois() -> None:
+    own: dict[str, Any] = {"observation": "entities", "knowledge": "own", "decoys": 3}
+    engine = BatchEngine(FIELD, 3, seed=4, autoreset=False, **own)
+    engine.reset()
+    bounds = [plan(FIELD, visited=np.flatnonzero(row).tolist()).makespan for row in engine.decoys]
+    assert min(bounds) < 17
+    for name in ("greedy", "planner", "replan"):
+        found = evaluate(make_classical(name, FIELD, own), FIELD, own, episodes=3, seed=4)
+        assert found.successes == [True] * 3
+        assert found.steps == bounds or name == "greedy"
 
 
 WINDS = tuple({"wind": wind} for wind in ((0.35, 0), (0.35, 90), (0.2, 215)))
