@@ -44,7 +44,8 @@ class Strip:
         if not path.is_file():
             path.parent.mkdir(exist_ok=True)
             write_text(path, csv_text(untrained(), "%.4f"))
-        names = {FIELDS, *(one.parent.name for one in self.folder.glob("*/comparison.json"))}
+        sources = (*self.folder.glob("*/runs.csv"), *self.folder.glob("*/comparison.json"))
+        names = {one.parent.name for one in sources}
         found = {name: rows_of(self.folder / name) for name in sorted(names)}
         shown = {label: found[name].query("label == @label") for label, name in COLUMNS.items()}
         together = pandas.concat(shown.values())

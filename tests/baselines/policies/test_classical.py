@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,33 @@ def test_they_leave_out_the_empty_rois() -> None:
         found = evaluate(make_classical(name, FIELD, own), FIELD, own, episodes=3, seed=4)
         assert found.successes == [True] * 3
         assert found.steps == bounds or name == "greedy"
+
+
+LOCAL: dict[str, Any] = {"observation": "lidar_local", "knowledge": "own", "comm_radius": 50.0}
+
+
+@pytest.mark.parametrize("field", ["field_03", "field_09"])  # field_09 has corners to go round
+def test_greedy_local_acts_on_each_robots_row_alone(field: str) -> None:
+    place = load_field(field)
+    team, alone = (make_classical("greedy-local", place, LOCAL) for _ in range(2))
+    engine = BatchEngine(place, 2, **LOCAL)
+    observations, robots = engine.reset(), [copy(alone) for _ in range(3)]
+    for robot in robots:
+        robot.reset()
+    ends = 0
+    while ends < 4:
+        actions = team.act(observations, deterministic=True)
+        for i, robot in reversed([*enumerate(robots)]):
+            own = robot.act(observations[:, i : i + 1], deterministic=True)
+            moving = observations[:, i, 2:4].any(-1)  # else it may stir
+            np.testing.assert_array_equal(own[moving, 0], actions[moving, i])
+        observations, _, terminated, truncated = engine.step(actions)
+        if (ended := terminated | truncated).any():
+            assert engine.metrics(["success"])["success"][ended].all()
+            assert not engine.metrics(["wall_hits"])["wall_hits"][ended].any()
+            ends += ended.sum()
+            for policy in (team, *robots):
+                policy.reset(ended)
 
 
 WINDS = tuple({"wind": wind} for wind in ((0.35, 0), (0.35, 90), (0.2, 215)))
