@@ -124,7 +124,7 @@ class GreedyLocal(Policy):
         scale = np.where(far > 1e-9, limit / np.maximum(far, 1e-9), 1.0).min(1, keepdims=True)
         # Without an ROI robots stir, since to rest on a visited one has a cost.
         rests = ~speed.any(1, keepdims=True)
-        stir = STIRS[(self._steps + np.arange(len(place))) % len(STIRS)] * force * rests
+        stir = STIRS[self._steps % len(STIRS)] * force * rests
         wanted: Floats = np.where(goes[:, None], offset * np.minimum(scale, 1.0), stir)
         return wanted
 

@@ -5,16 +5,19 @@ from typing import Any, Literal
 
 from mbn_marl.config import make_config
 
-Information = Literal["all", "assignment", "own sight", "own knowledge"]
+Information = Literal["all", "assignment", "own sight", "team", "own"]
 
 
 def information(settings: Mapping[str, Any], *, centralized: bool = False) -> Information:
-    """Return ``assignment`` for a planner's hint, else whether a policy sees far or near."""
+    """Return ``assignment`` for a planner's hint, else whether a policy sees far or near.
+
+    With ``knowledge="own"`` it acts on that, or on the knowledge of its ``team``.
+    """
     # A centralised policy sees the observations of all robots, and counts as seeing all.
     config = make_config(settings)
     if config.assignment:
         return "assignment"
-    if config.knowledge == "own" and not centralized:
-        return "own knowledge"
+    if config.knowledge == "own":
+        return "team" if centralized else "own"
     near = config.observation in ("local", "lidar_local") or config.dropout == 1.0
     return "own sight" if near and not centralized else "all"

@@ -1,5 +1,7 @@
 """Policies that users write, named ``module:callable``."""
 
+from __future__ import annotations
+
 import inspect
 import re
 import sys
@@ -29,6 +31,7 @@ class OwnPolicy(Policy):
         if not _takes(make, field):
             problem = f"callable: {source.partition(':')[2]}{inspect.signature(make)}"
             raise ConfigError(source, [f"{problem}; needed: one argument, the field"])
+        self._given = source, make, field
         self._source, self._made = source, make(field)
         made, act = self._made, getattr(self._made, "act", None)
         self.observes = getattr(made, "observes", "observations")
@@ -64,6 +67,9 @@ class OwnPolicy(Policy):
             problem = f"actions: expected ({len(seen)}, {n}, 2), got {actions.shape}"
             raise ConfigError(self._source, [problem])
         return actions
+
+    def of_robot(self, robot: int) -> OwnPolicy:
+        return OwnPolicy(*self._given)  # a copy of a function would share what it remembers
 
     def reset(self, worlds: np.ndarray | None = None) -> None:
         getattr(self._made, "reset", lambda worlds: None)(worlds)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from copy import copy, deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -62,10 +63,20 @@ class Policy:
 
         Headings of robots and flags of failures are hidden from it if it was trained without them;
         flags that are not shown are 0. Tokens (``entities``) fit fields and teams of any size.
+        With ``knowledge="own"``, it acts for each robot :class:`Alone`.
 
         Raises:
             ConfigError: naming all that it was trained with otherwise, and that it sees.
         """
+        fitted = self._matched(engine)
+        own = engine.config.knowledge == "own" and self.observes == "observations"
+        return Alone(fitted, engine.n_robots) if own else fitted
+
+    def of_robot(self, robot: int) -> Policy:
+        """Return the policy of one robot for rows (worlds, 1, size), with a memory to itself."""
+        return deepcopy(self)
+
+    def _matched(self, engine: BatchEngine) -> Policy:
         if self.origin is None:
             return self
         varies = engine.sampler is not None or engine.teams_vary
@@ -93,6 +104,9 @@ class TrainedPolicy(Policy, ABC):
 
     network: Any  # a torch.nn.Module
 
+    def of_robot(self, robot: int) -> Policy:
+        return self  # these networks have no memory
+
     @abstractmethod
     def means(self, seen: torch.Tensor) -> torch.Tensor:
         """Mean actions (worlds, n, 2), not clipped, as ``torch.export`` can follow them."""
@@ -119,6 +133,9 @@ class RandomPolicy(Policy):
     def draws(self, *, deterministic: bool) -> bool:
         return True
 
+    def fit(self, engine: BatchEngine) -> Policy:
+        return self  # it sees nothing; copies would move all robots alike
+
 
 class Wrapped(Policy):
     def __init__(self, policy: Policy) -> None:
@@ -129,6 +146,31 @@ class Wrapped(Policy):
 
     def draws(self, *, deterministic: bool) -> bool:
         return self.policy.draws(deterministic=deterministic)
+
+    def of_robot(self, robot: int) -> Policy:
+        one = copy(self)
+        one.policy = self.policy.of_robot(robot)
+        return one
+
+
+class Alone(Wrapped):
+    """A policy with a copy for each robot, which sees this robot's row and has its memory alone."""
+
+    def __init__(self, policy: Policy, robots: int) -> None:
+        super().__init__(policy)
+        self._copies = [policy.of_robot(robot) for robot in range(robots)]
+        self._orders = np.random.default_rng(0)
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        actions = np.empty((*seen.shape[:2], 2), np.float32)
+        for i in self._orders.permutation(len(self._copies)):
+            row = seen[:, i : i + 1].copy()  # a view would lead to the others' rows
+            actions[:, i : i + 1] = self._copies[i].act(row, deterministic=deterministic)
+        return actions
+
+    def reset(self, worlds: np.ndarray | None = None) -> None:
+        for one in self._copies:
+            one.reset(worlds)
 
 
 class Selected(Wrapped):

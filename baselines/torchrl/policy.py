@@ -1,16 +1,19 @@
 """A trained policy of a team: saved without pickle, loaded to act."""
 
-from dataclasses import asdict
+from __future__ import annotations
+
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from pydantic import TypeAdapter
 
-from baselines.policies.policy import TrainedPolicy
+from baselines.policies.policy import Policy, TrainedPolicy
 from baselines.runs.files import read_json, reading, write_json
 from baselines.runs.tensors import read_tensors, write_tensors
 from baselines.torchrl.networks import GaussianPolicy, TeamShape
+from mbn_marl.errors import ConfigError
 
 WEIGHTS = "policy.safetensors"
 SHAPE = "policy.json"
@@ -32,6 +35,23 @@ class TeamPolicy(TrainedPolicy):
 
     def means(self, seen: torch.Tensor) -> torch.Tensor:
         return self.network.means(self.network.norm.normalize(seen))
+
+    def of_robot(self, robot: int) -> Policy:
+        shape = self.network.shape
+        if shape.actor == "centralized":
+            problem = "actor: centralized, it sees all rows; allowed: decentralized"
+            raise ConfigError("policy", [problem])
+        if shape.networks == 1:
+            return super().of_robot(robot)
+        own = GaussianPolicy(replace(shape, n_robots=1))
+        sizes = {name: value.shape for name, value in own.state_dict().items()}
+        own.load_state_dict(
+            {
+                name: value if value.shape == sizes[name] else value[robot].reshape(sizes[name])
+                for name, value in self.network.state_dict().items()
+            }
+        )
+        return TeamPolicy(own.to(self.network.log_std.device))
 
     def save(self, folder: Path) -> None:
         write_json(folder / SHAPE, asdict(self.network.shape))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from baselines.cli import main
 from baselines.evaluation.evaluate import evaluate, is_one_episode
 from baselines.evaluation.rollout import record_episode
 from baselines.policies.classical import make_classical
-from baselines.policies.policy import Origin, Policy, RandomPolicy
+from baselines.policies.policy import Alone, Origin, Policy, RandomPolicy
 from baselines.policies.shielded import Shielded
 from mbn_marl import BatchEngine, Field, load_field
 from mbn_marl.config import Failures, make_config
@@ -54,22 +53,18 @@ def test_greedy_local_acts_on_each_robots_row_alone(field: str) -> None:
     place = load_field(field)
     team, alone = (make_classical("greedy-local", place, LOCAL) for _ in range(2))
     engine = BatchEngine(place, 2, **LOCAL)
-    observations, robots = engine.reset(), [copy(alone) for _ in range(3)]
-    for robot in robots:
-        robot.reset()
+    observations, robots = engine.reset(), alone.fit(engine)
+    assert isinstance(robots, Alone)
     ends = 0
     while ends < 4:
         actions = team.act(observations, deterministic=True)
-        for i, robot in reversed([*enumerate(robots)]):
-            own = robot.act(observations[:, i : i + 1], deterministic=True)
-            moving = observations[:, i, 2:4].any(-1)  # else it may stir
-            np.testing.assert_array_equal(own[moving, 0], actions[moving, i])
+        np.testing.assert_array_equal(robots.act(observations, deterministic=True), actions)
         observations, _, terminated, truncated = engine.step(actions)
         if (ended := terminated | truncated).any():
             assert engine.metrics(["success"])["success"][ended].all()
             assert not engine.metrics(["wall_hits"])["wall_hits"][ended].any()
             ends += ended.sum()
-            for policy in (team, *robots):
+            for policy in (team, robots):
                 policy.reset(ended)
 
 

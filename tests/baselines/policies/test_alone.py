@@ -1,0 +1,85 @@
+"""Robots that know only their own: each acts on its row, with its memory, and nothing else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from baselines.policies.own import OwnPolicy
+from baselines.policies.policy import Alone, Policy, RandomPolicy
+from baselines.policies.shielded import Shielded
+from baselines.torchrl.networks import GaussianPolicy, TeamShape
+from baselines.torchrl.policy import TeamPolicy
+from mbn_marl.engine import BatchEngine
+from mbn_marl.errors import ConfigError
+
+OWN: dict[str, Any] = {"observation": "local", "knowledge": "own"}
+SEEN = np.random.default_rng(0).normal(size=(4, 2, 3, 7)).astype(np.float32)
+
+
+class Honest:
+    """It adds up what each robot has seen."""
+
+    def __init__(self, field: Any) -> None:
+        self.sums: Any = 0.0
+
+    def act(self, seen: np.ndarray, deterministic: bool = True) -> np.ndarray:
+        self.sums = self.sums + seen[..., :2]
+        return np.tanh(self.sums)
+
+    def reset(self, worlds: Any = None) -> None:
+        self.sums = 0.0
+
+
+class Peeking(Honest):
+    """Its robots act on the row of the next one, also that behind a view of theirs."""
+
+    def act(self, seen: np.ndarray, deterministic: bool = True) -> np.ndarray:
+        rows = seen if seen.base is None else seen.base
+        return super().act(np.roll(rows, 1, axis=1)[:, : seen.shape[1]])
+
+
+class Sharing(Honest):
+    """Its robots act on one memory of the team."""
+
+    def act(self, seen: np.ndarray, deterministic: bool = True) -> np.ndarray:
+        self.sums = self.sums + seen[..., :2].sum(axis=1, keepdims=True)
+        return np.broadcast_to(np.tanh(self.sums), (*seen.shape[:2], 2))
+
+
+@pytest.mark.parametrize(("made", "same"), [(Honest, True), (Peeking, False), (Sharing, False)])
+def test_who_uses_more_than_a_robot_has_is_found_out(made: type, same: bool) -> None:
+    policies = [OwnPolicy("tests:made", made, None) for _ in range(2)]
+    team, robots = policies[0], Alone(policies[1], 3)
+    for episode in (SEEN, SEEN + 1.0):
+        for policy in (team, robots):
+            policy.reset()
+        shown = [seen.copy() for seen in episode]
+        acts = [[one.act(seen, deterministic=True) for seen in shown] for one in (team, robots)]
+        assert np.array_equal(*acts) == same
+
+
+def test_each_robot_has_its_network() -> None:
+    torch.manual_seed(0)
+    shape = TeamShape(obs_size=7, n_robots=3, hidden=(8,), sharing="none")
+    network = GaussianPolicy(shape)
+    network.amplify(50.0)
+    network.norm.update(torch.from_numpy(SEEN.reshape(-1, 3, 7)) * torch.arange(1, 4)[:, None])
+    team = TeamPolicy(network)
+    actions = Alone(team, 3).act(SEEN[0], deterministic=True)
+    np.testing.assert_allclose(actions, team.act(SEEN[0], deterministic=True), rtol=1e-5)
+    assert not np.allclose(*(team.of_robot(i).act(SEEN[0], deterministic=True) for i in (0, 1)))
+    joint = TeamShape(obs_size=7, n_robots=3, hidden=(8,), sharing="full", actor="centralized")
+    with pytest.raises(ConfigError, match="actor: "):
+        Alone(TeamPolicy(GaussianPolicy(joint)), 3)
+
+
+def test_an_engine_of_own_knowledge_wants_robots_alone() -> None:
+    engine = BatchEngine("field_03", 1, threads=1, **OWN)
+    assert isinstance(Policy().fit(engine), Alone)
+    assert isinstance(Shielded(Policy()).fit(engine).policy, Alone)
+    assert not isinstance(RandomPolicy().fit(engine), Alone)
+    assert not isinstance(Policy().fit(BatchEngine("field_03", 1, threads=1)), Alone)
