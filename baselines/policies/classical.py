@@ -92,7 +92,8 @@ def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Poli
     from mbn_marl.planning.problem import make_problem
     from mbn_marl.planning.replanning import Replanner, Tracker
 
-    config = make_config({**settings, "decoys": 0})  # the engine knows which ROIs are empty
+    none = {"decoys": 0, "empty_rois": ()}  # the engine knows which ROIs are empty
+    config = make_config({**settings, **none})
     problem = make_problem(field, config, closed_loop=name != "planner")
     if name == "greedy-local":
         from baselines.policies.greedy_local import GreedyLocal

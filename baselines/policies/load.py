@@ -137,6 +137,8 @@ def merge_settings(
     settings: Mapping[str, Any], condition: Condition | None, **asked: Any
 ) -> dict[str, Any]:
     """Return settings with others in their place; a condition replaces weather and failures."""
+    if asked.get("knowledge") == "own":  # which the default observation does not show
+        settings = {"observation": "entities", **settings}
     if condition is None:
         return {**settings, **asked}
     weather = {name for one in CONDITIONS if one != "mixed" for name in CONDITIONS[one]}

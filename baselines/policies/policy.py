@@ -72,8 +72,8 @@ class Policy:
         own = engine.config.knowledge == "own" and self.observes == "observations"
         return Alone(fitted, engine.n_robots) if own else fitted
 
-    def of_robot(self, robot: int) -> Policy:
-        """Return the policy of one robot for rows (worlds, 1, size), with a memory to itself."""
+    def of_robot(self, robot: int, robots: int) -> Policy:
+        """Return that of one of the robots for rows (worlds, 1, size), with a memory to itself."""
         return deepcopy(self)
 
     def _matched(self, engine: BatchEngine) -> Policy:
@@ -104,7 +104,7 @@ class TrainedPolicy(Policy, ABC):
 
     network: Any  # a torch.nn.Module
 
-    def of_robot(self, robot: int) -> Policy:
+    def of_robot(self, robot: int, robots: int) -> Policy:
         return self  # these networks have no memory
 
     @abstractmethod
@@ -147,9 +147,9 @@ class Wrapped(Policy):
     def draws(self, *, deterministic: bool) -> bool:
         return self.policy.draws(deterministic=deterministic)
 
-    def of_robot(self, robot: int) -> Policy:
+    def of_robot(self, robot: int, robots: int) -> Policy:
         one = copy(self)
-        one.policy = self.policy.of_robot(robot)
+        one.policy = self.policy.of_robot(robot, robots)
         return one
 
 
@@ -158,7 +158,7 @@ class Alone(Wrapped):
 
     def __init__(self, policy: Policy, robots: int) -> None:
         super().__init__(policy)
-        self._copies = [policy.of_robot(robot) for robot in range(robots)]
+        self._copies = [policy.of_robot(robot, robots) for robot in range(robots)]
         self._orders = np.random.default_rng(0)
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import torch
 from pydantic import TypeAdapter
 
-from baselines.policies.policy import Policy, TrainedPolicy
+from baselines.policies.policy import Policy, TrainedPolicy, Wrapped
 from baselines.runs.files import read_json, reading, write_json
 from baselines.runs.tensors import read_tensors, write_tensors
 from baselines.torchrl.networks import GaussianPolicy, TeamShape
@@ -36,26 +36,30 @@ class TeamPolicy(TrainedPolicy):
     def means(self, seen: torch.Tensor) -> torch.Tensor:
         return self.network.means(self.network.norm.normalize(seen))
 
-    def of_robot(self, robot: int) -> Policy:
-        shape = self.network.shape
-        if shape.actor == "centralized":
+    def of_robot(self, robot: int, robots: int) -> Policy:
+        if self.network.shape.actor == "centralized":
             problem = "actor: centralized, it sees all rows; allowed: decentralized"
             raise ConfigError("policy", [problem])
-        if shape.networks == 1:
-            return super().of_robot(robot)
-        own = GaussianPolicy(replace(shape, n_robots=1))
-        sizes = {name: value.shape for name, value in own.state_dict().items()}
-        own.load_state_dict(
-            {
-                name: value if value.shape == sizes[name] else value[robot].reshape(sizes[name])
-                for name, value in self.network.state_dict().items()
-            }
-        )
-        return TeamPolicy(own.to(self.network.log_std.device))
+        return OneRow(self, robot, robots)
 
     def save(self, folder: Path) -> None:
         write_json(folder / SHAPE, asdict(self.network.shape))
         write_tensors(folder / WEIGHTS, self.network.state_dict())
+
+
+class OneRow(Wrapped):
+    """A team's policy for the row of one robot, with zeros in place of the others' rows."""
+
+    # Networks find the robot's weights, and the size of the team, by the rows.
+    def __init__(self, policy: Policy, robot: int, robots: int) -> None:
+        super().__init__(policy)
+        self._robot, self._robots = robot, robots
+
+    def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
+        rows = np.zeros((len(seen), self._robots, seen.shape[-1]), seen.dtype)
+        rows[:, self._robot] = seen[:, 0]
+        actions: np.ndarray = self.policy.act(rows, deterministic=deterministic)
+        return actions[:, self._robot, None]
 
 
 def load_policy(folder: Path) -> TeamPolicy:

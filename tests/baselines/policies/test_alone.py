@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.policies.load import load_trained, open_run
 from baselines.policies.own import OwnPolicy
 from baselines.policies.policy import Alone, Policy, RandomPolicy
 from baselines.policies.shielded import Shielded
@@ -71,10 +72,20 @@ def test_each_robot_has_its_network() -> None:
     team = TeamPolicy(network)
     actions = Alone(team, 3).act(SEEN[0], deterministic=True)
     np.testing.assert_allclose(actions, team.act(SEEN[0], deterministic=True), rtol=1e-5)
-    assert not np.allclose(*(team.of_robot(i).act(SEEN[0], deterministic=True) for i in (0, 1)))
+    same = [team.of_robot(i, 3).act(SEEN[0, :, :1], deterministic=True) for i in (0, 1)]
+    assert not np.allclose(*same)
     joint = TeamShape(obs_size=7, n_robots=3, hidden=(8,), sharing="full", actor="centralized")
     with pytest.raises(ConfigError, match="actor: "):
         Alone(TeamPolicy(GaussianPolicy(joint)), 3)
+
+
+def test_a_network_over_sets_knows_the_size_of_its_team() -> None:
+    team = load_trained(open_run("zoo:generalist"))
+    engine = BatchEngine("field_03", 2, threads=1, **{**OWN, "observation": "entities"})
+    robots, seen = team.fit(engine), engine.reset()
+    assert isinstance(robots, Alone)
+    actions = robots.act(seen, deterministic=True)
+    np.testing.assert_allclose(actions, team.act(seen, deterministic=True), atol=1e-5)
 
 
 def test_an_engine_of_own_knowledge_wants_robots_alone() -> None:
