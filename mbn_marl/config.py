@@ -175,6 +175,7 @@ WITHOUT_RADIUS = ("relative", "state")
 OF_OWN = ("local", "lidar_local", "entities")
 # Settings of what robots know, which change nothing in what they can do.
 KNOWLEDGE = ("knowledge", "comm_radius", "look_radius", "hidden_rois", "comm_delay", "comm_loss")
+DECOYS = ("decoys", "empty_rois")
 
 
 class RewardProfile(Checked):
@@ -245,7 +246,7 @@ class NavigationConfig(Checked):
     with other observations nothing else than 100 is allowed."""
     knowledge: Literal["team", "own"] = "team"
     """``"team"``: robots share all they know; ``"own"``: each knows what it has seen and heard
-    (mdp.md, "Knowledge"). The settings from here to ``decoys`` are for ``"own"`` only."""
+    (mdp.md, "Knowledge"). The settings from here to ``empty_rois`` are for ``"own"`` only."""
     comm_radius: Reach = 100.0
     """Robots within this distance tell each other what they know, units, 0 to infinity."""
     look_radius: NonNegative | None = None
@@ -258,6 +259,8 @@ class NavigationConfig(Checked):
     """Probability that a robot does not hear another one in a step, in [0, 1]."""
     decoys: FewOrRange = 0
     """Number of ROIs of an episode that are empty, or the least and the most; each draws them."""
+    empty_rois: tuple[_Few, ...] = ()
+    """The ROIs that are empty in all episodes, from 0 on; in place of ``decoys``."""
     wind: tuple[AnyNonNegative, AnyNumber] = (0.0, 0.0)
     """``(v_a, beta_a)``: units/step per step, degrees from +x; both may be drawn."""
     gust: AnyNonNegative = 0.0
@@ -333,13 +336,20 @@ class NavigationConfig(Checked):
             raise ValueError(f"'own' is allowed with observation {', '.join(OF_OWN)}, unassigned")
         return value
 
-    @field_validator(*KNOWLEDGE[1:], "decoys")
+    @field_validator(*KNOWLEDGE[1:], *DECOYS)
     @classmethod
     def _of_own(cls, value: Any, info: ValidationInfo) -> Any:
         default = cls.model_fields[str(info.field_name)].default
         if value != default and info.data.get("knowledge", "own") != "own":
             raise ValueError("allowed with knowledge='own' only")
         return value
+
+    @field_validator("empty_rois")
+    @classmethod
+    def _some(cls, value: tuple[int, ...], info: ValidationInfo) -> tuple[int, ...]:
+        if value and info.data.get("decoys"):
+            raise ValueError("allowed without decoys only")
+        return tuple(sorted(set(value)))
 
     @field_validator("sensing_radius")
     @classmethod
@@ -478,6 +488,7 @@ class FixedSettings(TypedDict, total=False):
     comm_delay: int
     comm_loss: float
     decoys: int | tuple[int, int]
+    empty_rois: tuple[int, ...]
     wind: tuple[Number, Number]
     gust: Number
     gust_time: Number

@@ -85,6 +85,7 @@ def _values(
         "hidden_rois": config.hidden_rois,
         "least_decoys": least_decoys,
         "most_decoys": most_decoys,
+        "empty_rois": sum(1 << j for j in config.empty_rois),
         "random_starts": config.random_starts,
         "action_delay": config.action_delay,
         "max_steps": config.max_steps,

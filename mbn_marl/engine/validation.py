@@ -206,9 +206,12 @@ def _sampler_problems(
 
 
 def _decoy_problems(config: NavigationConfig, rois: int, source: str) -> list[str]:
-    if config.decoy_range[1] < rois:
-        return []
-    return [f"decoys: {config.decoys}; allowed: at most {rois - 1}, all but one ROI of {source}"]
+    problems, empty, allowed = [], config.empty_rois, f"at most {rois - 1}, all but one ROI"
+    if config.decoy_range[1] >= rois:
+        problems.append(f"decoys: {config.decoys}; allowed: {allowed} of {source}")
+    if len(empty) >= rois or max(empty, default=0) >= rois:
+        problems.append(f"empty_rois: {empty}; allowed: {allowed}, numbered from 0, of {source}")
+    return problems
 
 
 def as_starts(starts: ArrayLike | None) -> NDArray[Any] | None:

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
-from mbn_marl.config import KNOWLEDGE, LIMITS, NavigationConfig
+from mbn_marl.config import DECOYS, KNOWLEDGE, LIMITS, NavigationConfig
 from mbn_marl.engine.mdp.disturbances import OF_ROBOTS
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field
@@ -151,7 +151,7 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
     n = config.n_robots or len(field.starts)
     problems = []
     # A plan is for one who knows all; how many ROIs are empty is no part of a plan.
-    team = {name: NavigationConfig.model_fields[name].default for name in (*KNOWLEDGE, "decoys")}
+    team = {name: NavigationConfig.model_fields[name].default for name in (*KNOWLEDGE, *DECOYS)}
     if closed_loop:  # nobody knows what an episode draws
         middles = {name: (ends.low + ends.high) / 2 for name, ends in config.drawn.items()}
         config = config.with_drawn(middles)
@@ -163,8 +163,11 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
     wrong = {
         f"n_robots: {field.name} has {len(field.starts)} starts, not {n}": n > len(field.starts),
         "random_starts: allowed: False; a plan is for given starts": config.random_starts,
-        "decoys: allowed: 0; a plan leaves out those in visited=": config.decoys
-        and not closed_loop,
+        **{
+            f"{name}: allowed: none; a plan leaves out those in visited=": getattr(config, name)
+            and not closed_loop
+            for name in DECOYS
+        },
         "failures: allowed: None": config.failures is not None and not closed_loop,
         f"dynamics: {others}; allowed: 'point_mass'; no other bound is known": others,
         **{

@@ -84,6 +84,15 @@ def test_decoys_are_drawn_alike_and_told_to_nobody() -> None:
 
 
 @pytest.mark.slow
+def test_given_rois_are_empty_in_all_episodes() -> None:
+    engine = BatchEngine("field_03", 3, empty_rois=(4, 1, 4), **OWN)
+    for _ in range(2):
+        engine.reset()
+        assert [np.flatnonzero(row).tolist() for row in engine.decoys] == [[1, 4]] * 3
+    assert not engine.config.is_random and engine.config.empty_rois == (1, 4)
+
+
+@pytest.mark.slow
 def test_the_end_is_that_of_the_real_rois() -> None:
     engine = BatchEngine(ROW, 40, autoreset=False, decoys=1, **OWN)
     engine.reset()
@@ -111,6 +120,11 @@ def test_the_end_is_that_of_the_real_rois() -> None:
         ({**OWN, "decoys": (1, 2, 3)}, "decoys"),
         ({**OWN, "decoys": 24}, "decoys"),
         ({**OWN, "decoys": 6}, "decoys"),
+        ({"empty_rois": (1,)}, "empty_rois"),
+        ({**OWN, "decoys": 1, "empty_rois": (1,)}, "empty_rois"),
+        ({**OWN, "empty_rois": (6,)}, "empty_rois"),
+        ({**OWN, "empty_rois": range(6)}, "empty_rois"),
+        ({**OWN, "empty_rois": (-1,)}, "empty_rois.0"),
         ({**OWN, "decoys": 3, "field": FieldSampler(rois=(3, 9))}, "decoys"),
     ],
     ids=str,

@@ -61,6 +61,7 @@ class Oracle:
         wind_vector: tuple[float, float] | None = None,
         knowledge: str = "team",
         decoys: int | tuple[int, int] = 0,
+        empty_rois: tuple[int, ...] = (),
         **more: Any,
     ) -> None:
         real = self.real = REALS[dtype]
@@ -96,7 +97,8 @@ class Oracle:
         self.failures, self.failure_rate, self.fails = failures, failure_rate, fails or {}
         telling = {name: more.pop(name) for name in KNOWLEDGE[1:] if name in more}
         self.knowledge = Knowledge(self, **telling) if knowledge == "own" else None
-        self.empty = drawn_decoys(decoys, len(self.rois), *self.place, self.episode)
+        drawn = drawn_decoys(decoys, len(self.rois), *self.place, self.episode)
+        self.empty = drawn | {*empty_rois}
         self.disturbances = Disturbances(real, *self.place, **more)
 
     def reset(self, episode: int | None = None) -> None:

@@ -29,16 +29,17 @@ def knowledge_rows(config: NavigationConfig, n: int) -> int:
 
 @compiled
 def draw_decoys(p, g, now, episode_key, w):
-    """The bits of the ROIs of world w that are empty: each set of as many is equally likely."""
+    """The bits of the ROIs of world w that are empty: given, or each set of as many as likely."""
     empty = np.int32(0)
     if knows_own(now):
         f, key = column(g.field, w), stream_of(episode_key, FOR_DECOYS)
         rois, span = count_bits(g.field.codes[f]), p.most_decoys - p.least_decoys + 1
         missing = p.least_decoys + np.int64(uniform(key, MAX_ROIS) * np.float32(span))
         for j in range(rois):
-            if uniform(key, j) * np.float32(rois - j) < np.float32(missing):
+            drawn = uniform(key, j) * np.float32(rois - j) < np.float32(missing)
+            missing -= np.int64(drawn)
+            if drawn or (p.empty_rois >> j) & 1 == 1:
                 empty |= g.field.roi_bits[j, f]
-                missing -= 1
     return empty
 
 
