@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,18 +14,21 @@ from numpy.typing import NDArray
 
 from baselines.compare.text_table import TextTable
 from baselines.runs.files import read_arrays, read_json, versions, write_arrays, write_json
-from mbn_marl.config import NavigationConfig
+from mbn_marl.config import make_config
 from mbn_marl.episode import play
 from mbn_marl.errors import ConfigError, EpisodeError, FieldError, unknown
 from mbn_marl.field import Field, FieldSampler
 from mbn_marl.field.splits import (
     CONDITIONS,
+    DECOYS,
     NAMES,
+    SEARCH,
     VERSION,
     WEATHER,
     Split,
     geometry_hash,
     sampler_of,
+    search_settings,
 )
 from mbn_marl.planning import UnsolvableError, plan
 
@@ -95,7 +98,7 @@ class Splits:
         while len(record["instances"]) < self.count:
             number, began = record["candidates"], time.process_time()
             known = {one["geometry"]: one["candidate"] for one in record["instances"]}
-            found = self._try(FieldSampler(**begun["sampler"]), number, known)
+            found = self._try(FieldSampler(**begun["sampler"]), tier, number, known)
             if isinstance(found, str):
                 record["rejected"].append({"candidate": number, "reason": found})
             else:
@@ -107,23 +110,28 @@ class Splits:
             write_json(path, record)
 
     def _try(
-        self, sampler: FieldSampler, number: int, known: Mapping[str, int]
+        self, sampler: FieldSampler, tier: str, number: int, known: Mapping[str, int]
     ) -> str | tuple[dict[str, Any], NDArray[np.float32]]:
         try:
             field = sampler.field(number)
             geometry = geometry_hash(field)
             if geometry in known:
                 return f"the same as candidate {known[geometry]}"
-            found = plan(field, time_limit=self.seconds)
+            searched = drawn_empty(sampler, number) if tier == SEARCH else {}
+            empty = searched.get("empty", ())
+            found = plan(field, visited=empty, time_limit=self.seconds)
         except (FieldError, UnsolvableError) as error:
             return str(error)
         if found.makespan is None:
             return "no plan was found"
-        if problem := plan_problem(field, found.actions, found.makespan):
+        if searched and not found.optimal:
+            return "no plan was proved"
+        if problem := plan_problem(field, found.actions, found.makespan, empty):
             return problem
         instance = {
             **{"family": field.name.partition("-")[0], "seed": sampler.seed, "candidate": number},
             **{"robots": len(field.starts), "rois": len(field.rois), "geometry": geometry},
+            **searched,
             "makespan_lower_bound": found.makespan_lower_bound,
             "makespan": found.makespan,
             "plan": array_hash(found.actions),
@@ -147,6 +155,8 @@ class Splits:
         for k in np.unique(np.linspace(0, len(instances) - 1, self.count).astype(int)):
             one = instances[k]
             actions = plans[str(one["candidate"])].astype(np.float32)
+            if tier == SEARCH and one["empty"] != drawn_empty(sampler, one["candidate"])["empty"]:
+                yield f"instances[{k}]: empty: others are drawn"
             for problem in instance_problems(sampler, one, actions, self.seconds):
                 yield f"instances[{k}]: {problem}"
 
@@ -154,6 +164,12 @@ class Splits:
 def definition(split: Split, tier: str) -> dict[str, Any]:
     sampler = sampler_of(split, tier)
     return {"version": VERSION, "split": split, "tier": tier, "sampler": sampler}
+
+
+def drawn_empty(sampler: FieldSampler, number: int) -> dict[str, list[int]]:
+    """Return which ROIs of a candidate are empty; NumPy draws them by its seed and number."""
+    rois, random = sampler.rois[0], np.random.default_rng([sampler.seed, number])
+    return {"empty": sorted(random.choice(rois, DECOYS, replace=False).tolist())}
 
 
 def weather(folder: Path, split: Split, count: int) -> dict[str, Any]:
@@ -183,10 +199,13 @@ def array_hash(actions: NDArray[np.float32]) -> str:
     return hashlib.sha256(actions.astype("<f4").tobytes()).hexdigest()
 
 
-def plan_problem(field: Field, actions: NDArray[np.float32], makespan: int) -> str | None:
+def plan_problem(
+    field: Field, actions: NDArray[np.float32], makespan: int, empty: Sequence[int] = ()
+) -> str | None:
     """Return why the actions (T, n, 2) are no clean episode of that length in the engine."""
+    searched = search_settings(empty, 0.0) | {"observation": "entities"} if empty else {}
     try:
-        episode = play(field, NavigationConfig(), actions)
+        episode = play(field, make_config(searched), actions)
     except EpisodeError as error:
         return f"plan: {error}"
     if episode.outcome != "success" or episode.steps != makespan:
@@ -204,9 +223,10 @@ def instance_problems(
         return
     if array_hash(actions) != one["plan"]:
         yield "plan: its hash is another"
-    if problem := plan_problem(field, actions, one["makespan"]):
+    empty = one.get("empty", ())
+    if problem := plan_problem(field, actions, one["makespan"], empty):
         yield problem
-    found = plan(field, time_limit=seconds)
+    found = plan(field, visited=empty, time_limit=seconds)
     if found.makespan_lower_bound > one["makespan"]:
         yield f"makespan: {one['makespan']}, but {found.makespan_lower_bound} is proved"
     if found.makespan_lower_bound < one["makespan_lower_bound"]:

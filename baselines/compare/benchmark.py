@@ -16,7 +16,7 @@ import numpy as np
 from baselines.compare.page import episodes_html, folded_html, report_page, tables_html
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.evaluate import Evaluation, evaluate, is_one_episode
-from baselines.evaluation.intervals import mean_interval
+from baselines.evaluation.intervals import Interval, mean_interval
 from baselines.policies.classical import NoPlanError
 from baselines.policies.load import Source
 from baselines.policies.policy import Policy, Wrapped
@@ -49,6 +49,12 @@ METRICS: Mapping[str, tuple[str, str]] = {
 TIMES = {"decision_ms": ("ms a\ndecision", "{:.2f}"), "begin_s": ("s to\nbegin", "{:.2f}")}
 """Processor time of a decision of the team, and of what comes before the first one."""
 COLUMNS = {**METRICS, **TIMES}
+PRICES = {
+    "price of information": ("inf", "bound"),
+    "price of decentralisation, 100": ("100", "inf"),
+    "price of decentralisation, 0": ("0", "inf"),
+}
+"""The makespans, at communication radii of 6-search, whose ratios are prices."""
 CAPTION = (
     "SPL: proved bound / makespan, failures 0. Gap: makespan / bound - 1, of successes. Intervals: "
     "95 % over the instances. Times: of the processor, with mean actions."
@@ -144,7 +150,9 @@ def run_benchmark(
         record = _resumed(path, record, asked)
     loaded = Source(source)
     if loaded.run is not None:  # with settings that are the same in all fields
-        check_settings(loaded.make(condition="calm").settings, "calm", protocol)
+        for first, *_ in tiers.values():
+            settings = loaded.make(condition="calm", **first.settings).settings
+            check_settings(settings, "calm", protocol, first.settings)
     done = record["tiers"]
     for tier, instances in tiers.items():
         if tier in done:
@@ -212,8 +220,9 @@ def _run_tier(
     chosen = dict(zip(CHOSEN, (order[len(order) // 2], order[-1]), strict=True))
     shown = {}
     for name, k in chosen.items():
-        condition = instances[k].condition
+        condition, radius = instances[k].condition, instances[k].radius
         where = rows[k]["field"] + ("" if condition == "calm" else f", {condition}")
+        where += "" if radius is None else f", comm_radius {radius}"
         shown[name] = replace(episodes[k], source=f"{name}: {where}")
     return {"misfit": None, **chosen, "instances": rows}, shown
 
@@ -222,9 +231,9 @@ def _run_instance(
     source: Source, shield: bool, one: Instance, seed: int, protocol: Protocol
 ) -> tuple[dict[str, Any], Episode]:
     began = time.process_time()
-    loaded = source.make(one.field, seed=seed, condition=one.condition)
+    loaded = source.make(one.field, seed=seed, condition=one.condition, **one.settings)
     begin = time.process_time() - began
-    check_settings(loaded.settings, one.condition, protocol)
+    check_settings(loaded.settings, one.condition, protocol, one.settings)
     team, fixed = len(one.field.starts), make_config(loaded.settings).n_robots
     if fixed not in (None, team):
         raise ConfigError("policy", [f"n_robots: {fixed}; the field has {team}"])
@@ -239,6 +248,7 @@ def _run_instance(
         sampled = evaluate(policy, *where, episodes=counts.sampled, seed=seed)
     row = {
         **{"field": one.field.name, "condition": one.condition},
+        **({} if one.radius is None else {"comm_radius": one.radius}),
         "makespan_lower_bound": one.makespan_lower_bound,
         "information": information_of(policy, loaded.settings, source.run),
         "mean": numbers(mean),
@@ -248,9 +258,18 @@ def _run_instance(
     return row, mean.recorded[0]
 
 
-def check_settings(settings: Mapping[str, Any], condition: Condition, protocol: Protocol) -> None:
-    """Raise a SettingsError that lists the settings of a policy, without its size of the team."""
-    ours, theirs = make_config({"condition": condition}), make_config(settings)
+def check_settings(
+    settings: Mapping[str, Any],
+    condition: Condition,
+    protocol: Protocol,
+    fixed: Mapping[str, Any] = {},
+) -> None:
+    """Raise a SettingsError that lists the settings of a policy, without its size of the team.
+
+    Those that a tier has ``fixed`` are no choice of a policy.
+    """
+    seen = {"observation": "entities", **fixed} if fixed else {}
+    ours, theirs = make_config({"condition": condition, **seen}), make_config(settings)
     problems = [
         f"{name}: {getattr(theirs, name)!r}; allowed: {getattr(ours, name)!r}"
         for name in NavigationConfig.model_fields
@@ -289,9 +308,33 @@ def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def summaries(tiers: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Return those of a result's tiers, and of ``all`` of a whole result; none of misfits."""
     rows = {tier: one["instances"] for tier, one in tiers.items() if not one["misfit"]}
-    if set(rows) == set(load_protocol().tiers):
-        rows[ALL] = [row for own in rows.values() for row in own]
-    return {tier: summarise(own) for tier, own in rows.items()}
+    whole = load_protocol().tiers
+    if set(rows) >= set(whole):
+        rows[ALL] = [row for tier in whole for row in rows[tier]]
+    parts: dict[str, list[Any]] = {}
+    for tier, own in rows.items():
+        for row in own:
+            radius = row.get("comm_radius")
+            parts.setdefault(tier if radius is None else f"{tier}, {radius}", []).append(row)
+    return {tier: summarise(own) for tier, own in parts.items()}
+
+
+def prices(rows: Iterable[Mapping[str, Any]], way: str = WAYS[0]) -> dict[str, Interval]:
+    """Return the prices of information and decentralisation, see docs/benchmark.md, by name.
+
+    Each is a mean ratio of makespans over the fields on which both episodes succeed.
+    """
+    steps: dict[str, dict[str, float]] = {}
+    for row in rows:
+        steps.setdefault("bound", {})[row["field"]] = row["makespan_lower_bound"]
+        if row[way] and row[way]["makespan"] is not None:
+            steps.setdefault(row["comm_radius"], {})[row["field"]] = row[way]["makespan"]
+    found = {}
+    for name, (over, under) in PRICES.items():
+        above, below = (steps.get(one, {}) for one in (over, under))
+        if ratios := [above[field] / below[field] for field in above if field in below]:
+            found[name] = mean_interval(ratios)
+    return found
 
 
 def cells(found: Mapping[str, Any], way: str, columns: Iterable[str] = COLUMNS) -> tuple[str, ...]:
@@ -312,7 +355,7 @@ def result_tables(record: Mapping[str, Any]) -> dict[str, TextTable]:
     """Return the tables of a result by the way of acting in words."""
     found = summaries(record["tiers"])
     misfits = {tier: one["misfit"] for tier, one in record["tiers"].items() if one["misfit"]}
-    caption = [CAPTION, *(f"{tier} does not fit: {why}" for tier, why in misfits.items())]
+    notes = [CAPTION, *(f"{tier} does not fit: {why}" for tier, why in misfits.items())]
     headings = ("tier", "information", "fields", *(heading for heading, _ in COLUMNS.values()))
     tables = {}
     for way in WAYS:
@@ -323,7 +366,18 @@ def result_tables(record: Mapping[str, Any]) -> dict[str, TextTable]:
             for tier, one in found.items()
         ]
         lines += [(tier, "-", "-", *cells({}, way)) for tier in misfits]
-        tables[f"{way} actions, means"] = TextTable("\n".join(caption), headings, lines, words=2)
+        tables[f"{way} actions, means"] = TextTable("\n".join(notes), headings, lines, words=2)
+    searched = record["tiers"].get(splits.SEARCH, {"instances": []})["instances"]
+    for way in WAYS:
+        lines = [
+            (name, *("-" if end is None else f"{end:.2f}" for end in price))
+            for name, price in prices(searched, way).items()
+        ]
+        if not lines:
+            continue
+        headings = ("ratio of makespans", "mean", "low", "high")
+        caption = "Of the fields on which both succeed; intervals: 95 %."
+        tables[f"{way} actions, prices"] = TextTable(caption, headings, lines, words=1)
     return tables
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from dataclasses import field as default
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -30,11 +32,22 @@ TIERS: Mapping[str, Mapping[str, Any]] = {
     "3-shapes": {"families": ["concave", "corridors", "obstacles"], "robots": 3, "rois": 6},
     "4-crowds": {"families": ["convex"], "robots": [8, 16], "rois": [12, 24], "size": [230, 420]},
 }
-"""The tiers that freeze fields, and the arguments of their samplers."""
+"""The tiers of one team that shares all it knows, and the arguments of their samplers."""
 WEATHER = "5-weather"
 """Instance k is instance k of tier k mod 3 of the first three, under condition k mod 5."""
 CONDITIONS: tuple[Condition, ...] = ("windy", "gusty", "noisy", "delayed", "failing")
-NAMES = (*TIERS, WEATHER)
+SEARCH = "6-search"
+"""Robots that know only their own look for the ROIs that are not empty."""
+FIELDS = {**TIERS, SEARCH: {"families": ["convex"], "robots": 5, "rois": 24, "size": 700}}
+"""The tiers that freeze fields."""
+DECOYS = 12
+SETTINGS: Mapping[str, Any] = {
+    **{"knowledge": "own", "sensing_radius": 100.0, "look_radius": 60.0, "max_steps": 600}
+}
+"""Those that 6-search fixes, beside each instance's ``empty_rois``."""
+RADII: Mapping[str, float] = {"0": 0.0, "100": 100.0, "inf": math.inf}
+"""Its communication radii by name: each makes an instance of every field."""
+NAMES = (*TIERS, WEATHER, SEARCH)
 Split = Literal["validation", "test"]
 FOLDER = files("envs_catalog") / "splits"
 """With a file for each split and tier."""
@@ -46,17 +59,21 @@ class Instance:
     """A frozen field of a split, and what is known of it.
 
     Attributes:
-        field: the field; its name is unique in the split's tier.
+        field: the field; its name is unique in the split's tier, and radius.
         condition: that of the environment, ``"calm"`` but in the tier ``5-weather``.
         makespan_lower_bound: steps, proved for a team that never pushes outside the field;
             ``None`` under a condition.
         best_known: steps, the shortest makespan that is known; ``None`` under a condition.
+        settings: those of the environment that the tier fixes.
+        radius: the name of the communication radius, in the tier ``6-search``.
     """
 
     field: Field
     condition: Condition = "calm"
     makespan_lower_bound: int | None = None
     best_known: int | None = None
+    settings: Mapping[str, Any] = default(default_factory=dict)
+    radius: str | None = None
 
 
 class _Calm(BaseModel):
@@ -66,6 +83,7 @@ class _Calm(BaseModel):
     condition: Literal["calm"] = "calm"
     makespan_lower_bound: _Steps
     makespan: _Steps
+    empty: tuple[()] = ()
 
     @field_validator("makespan")
     @classmethod
@@ -75,6 +93,13 @@ class _Calm(BaseModel):
         return steps
 
 
+class _Searched(_Calm):
+    empty: Annotated[  # type: ignore[assignment]
+        tuple[Annotated[int, Described(ge=0, lt=24)], ...],
+        Described(min_length=DECOYS, max_length=DECOYS),
+    ]
+
+
 class _Weathered(BaseModel):
     candidate: Annotated[int, Described(ge=0)]
     geometry: str
@@ -82,6 +107,7 @@ class _Weathered(BaseModel):
     condition: Literal["windy", "gusty", "noisy", "delayed", "failing"]
     makespan_lower_bound: None = None
     makespan: None = None
+    empty: tuple[()] = ()
 
 
 class _CalmFile(BaseModel):
@@ -95,14 +121,21 @@ class _WeatheredFile(_CalmFile):
     instances: Annotated[list[_Weathered], Described(min_length=1)]  # type: ignore[assignment]
 
 
+class _SearchFile(_CalmFile):
+    instances: Annotated[list[_Searched], Described(min_length=1)]  # type: ignore[assignment]
+
+
 def load_split(
     split: str, tier: str, folder: str | os.PathLike[str] | None = None
 ) -> tuple[Instance, ...]:
     """Return the frozen fields of a tier; each is made again and compared with its hash.
 
+    Those of ``6-search`` are there once for each communication radius.
+
     Args:
         split: ``"validation"`` or ``"test"``.
-        tier: ``"1-convex"``, ``"2-sizes"``, ``"3-shapes"``, ``"4-crowds"`` or ``"5-weather"``.
+        tier: ``"1-convex"``, ``"2-sizes"``, ``"3-shapes"``, ``"4-crowds"``, ``"5-weather"`` or
+            ``"6-search"``.
         folder: with the files; by default those that are installed.
 
     Raises:
@@ -118,7 +151,8 @@ def load_split(
     if problems:
         raise FieldError("split", problems)
     path = (FOLDER if folder is None else Path(folder)) / f"{split}-{tier}.json"
-    model = _WeatheredFile if tier == WEATHER else _CalmFile
+    models: Mapping[str, type[_CalmFile]] = {WEATHER: _WeatheredFile, SEARCH: _SearchFile}
+    model = models.get(tier, _CalmFile)
     try:
         found = model.model_validate(json.loads(path.read_text(encoding="utf-8")))
     except ValidationError as error:
@@ -127,7 +161,7 @@ def load_split(
         raise FieldError(str(path), [f"file: cannot be read: {error}"]) from None
     if (found.split, found.tier) != (split, tier):
         raise FieldError(str(path), [f"file: is of {found.split}, {found.tier}"])
-    samplers = {name: FieldSampler(**sampler_of(found.split, name)) for name in TIERS}
+    samplers = {name: FieldSampler(**sampler_of(found.split, name)) for name in FIELDS}
     instances, fields = [], set[str]()
     for k, one in enumerate(found.instances):
         try:
@@ -141,7 +175,15 @@ def load_split(
             problems.append(f"instances.{k}.candidate: {one.candidate} again")
         fields.add(one.geometry)
         known = one.makespan_lower_bound, one.makespan
-        instances.append(Instance(field, one.condition, *known))
+        whole = Instance(field, one.condition, *known)
+        instances += (
+            [whole]
+            if tier != SEARCH
+            else [
+                replace(whole, radius=name, settings=search_settings(one.empty, radius))
+                for name, radius in RADII.items()
+            ]
+        )
     if problems:
         raise FieldError(str(path), problems)
     return tuple(instances)
@@ -149,7 +191,12 @@ def load_split(
 
 def sampler_of(split: Split, tier: str) -> dict[str, Any]:
     """Return the arguments of the sampler of a tier's fields, as JSON values."""
-    return {**TIERS[tier], "seed": SEEDS[split] + NAMES.index(tier)}
+    return {**FIELDS[tier], "seed": SEEDS[split] + NAMES.index(tier)}
+
+
+def search_settings(empty: Sequence[int], radius: float) -> dict[str, Any]:
+    """Return what the tier 6-search fixes of the environment of an instance."""
+    return {**SETTINGS, "empty_rois": tuple(empty), "comm_radius": radius}
 
 
 def geometry_hash(field: Field) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from baselines.compare.benchmark import load_tiers, run_benchmark
+from baselines.compare.benchmark import load_protocol, load_tiers, run_benchmark
 from baselines.runs.files import write_json
 from benchmarks.__main__ import main
 from benchmarks.leaderboard import leaderboard
@@ -42,7 +42,7 @@ def frozen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.fixture(scope="module")
 def results(frozen: Path, tmp_path_factory: pytest.TempPathFactory) -> Results:
     # Random is made as if it were behind the shield and did not fit the second tier.
-    out, tiers = tmp_path_factory.mktemp("out"), load_tiers("test", splits.NAMES)
+    out, tiers = tmp_path_factory.mktemp("out"), load_tiers("test", load_protocol().tiers)
     made = {
         name: run_benchmark(name, "test", tiers, out / name, command=f"mbn benchmark {name}")
         for name in ("greedy", "random")
@@ -68,7 +68,7 @@ def test_a_table_for_each_tier_with_the_best_first(results: Results, tmp_path: P
     page = (tmp_path / "board.md").read_text()
     parts = {part.splitlines()[0]: part for part in page.split("\n## ")[1:]}
     weather, faster = "5-weather by condition", "Instances solved faster than by greedy"
-    assert [*parts] == ["All tiers", *splits.NAMES, weather, faster, "Commands"]
+    assert [*parts] == ["All tiers", *load_protocol().tiers, weather, faster, "Commands"]
     greedy, name = ("greedy", "mean"), "random + shield"
     assert rows_of(parts[faster])[name, "mean"][1] == "-"  # it does not fit the second tier
     assert [*rows_of(parts["All tiers"])] == [greedy]

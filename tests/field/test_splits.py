@@ -12,9 +12,10 @@ import pytest
 from baselines.runs.files import read_arrays, read_json
 from benchmarks.splits import definition, instance_problems, weather
 from mbn_marl import FieldSampler
+from mbn_marl.config import make_config
 from mbn_marl.errors import FieldError
 from mbn_marl.field import load_split
-from mbn_marl.field.splits import FOLDER, NAMES, TIERS, WEATHER, Split
+from mbn_marl.field.splits import FOLDER, NAMES, RADII, SEARCH, TIERS, WEATHER, Split
 from tests.support.field_cases import places_of
 from tests.support.frozen import write_split, write_splits
 
@@ -31,6 +32,17 @@ def test_instances_are_fields_with_what_is_known_of_them(tmp_path: Path) -> None
         *((10, 12), (11, 13), (12, 14))
     ]
     assert {one.condition for one in read} == {"calm"}
+
+
+def test_a_searched_field_is_there_at_each_radius_with_its_empty_rois(tmp_path: Path) -> None:
+    write_split(tmp_path, SEARCH, 2)
+    read = load_split("test", SEARCH, tmp_path)
+    assert [one.radius for one in read] == [*RADII] * 2
+    assert len({one.field.name for one in read}) == 2
+    config = make_config({"observation": "entities", **read[1].settings})
+    known = config.knowledge, config.comm_radius, config.look_radius, config.max_steps
+    assert known == ("own", 100.0, 60.0, 600)
+    assert config.empty_rois == tuple(range(12))
 
 
 def test_a_field_that_is_another_is_an_error_that_names_it(tmp_path: Path) -> None:
@@ -54,6 +66,8 @@ def test_an_instance_that_cannot_be_is_named(tmp_path: Path) -> None:
         ("1-convex", {"condition": "windy"}, "condition"),
         ("1-convex", {"tier": "2-sizes"}, "tier"),
         (WEATHER, {"condition": "calm"}, "condition"),
+        (SEARCH, {"empty": [*range(11)]}, "empty"),
+        (SEARCH, {"empty": [*range(11), 24]}, "empty.11"),
     ):
         path = tmp_path / f"test-{tier}.json"
         good = path.read_text()
@@ -90,7 +104,7 @@ def test_what_there_is_not_is_an_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("split", "tier"), FILES, ids=map("-".join, FILES))
 def test_the_installed_splits_are_proved(split: Split, tier: str) -> None:
     """Of the two whose proofs took least, plan and bound are computed again."""
-    assert len(load_split(split, tier)) == 100
+    assert len(load_split(split, tier)) == (300 if tier == SEARCH else 100)
     path = INSTALLED / f"{split}-{tier}.json"
     record = read_json(path)
     if tier == WEATHER:
@@ -106,4 +120,6 @@ def test_the_installed_splits_are_proved(split: Split, tier: str) -> None:
 def test_the_names_of_tiers_are_those_of_the_page() -> None:
     page = (Path(__file__).parents[2] / "docs" / "fields.md").read_text(encoding="utf-8")
     section = page.split("### Frozen fields")[1]
-    assert tuple(re.findall(r"(?m)^\| `([\w-]+)` \|", section)) == NAMES == (*TIERS, WEATHER)
+    assert (
+        tuple(re.findall(r"(?m)^\| `([\w-]+)` \|", section)) == NAMES == (*TIERS, WEATHER, SEARCH)
+    )

@@ -9,7 +9,7 @@ from typing import Any
 
 from benchmarks.splits import definition, weather
 from mbn_marl import Field, FieldSampler
-from mbn_marl.field.splits import NAMES, WEATHER, geometry_hash, sampler_of
+from mbn_marl.field.splits import DECOYS, FIELDS, SEARCH, WEATHER, geometry_hash, sampler_of
 
 
 def write_split(
@@ -26,6 +26,7 @@ def write_split(
         sizes = {"robots": len(field.starts), "rois": len(field.rois)}
         known = {"family": field.name.partition("-")[0], "seed": sampler.seed, **sizes}
         known |= {"candidate": 2 * k, "geometry": geometry_hash(field)}
+        known |= {"empty": [*range(DECOYS)]} if tier == SEARCH else {}
         instances.append({**known, "makespan_lower_bound": least, "makespan": best})
     path = folder / f"test-{tier}.json"
     path.write_text(json.dumps({**definition("test", tier), "instances": instances, **changed}))
@@ -33,7 +34,7 @@ def write_split(
 
 
 def write_splits(folder: Path, count: int) -> None:
-    for tier in NAMES[:-1]:
+    for tier in FIELDS:
         write_split(folder, tier, count)
     path = folder / f"test-{WEATHER}.json"
     path.write_text(json.dumps(weather(folder, "test", count)))

@@ -19,6 +19,7 @@ from baselines.compare.benchmark import (
     load_protocol,
     load_tiers,
     numbers,
+    prices,
     rank,
     result_page,
     result_tables,
@@ -67,6 +68,16 @@ class Fussy(Small):
 class Fixed(Fussy):
     settings = {"n_robots": 3}
 """
+
+
+FAR = (
+    OWN
+    + """
+class Far(Small):
+    settings = {"observation": "entities", "knowledge": "own", "sensing_radius": 300.0,
+                "comm_radius": 500.0, "comm_loss": 0.5}
+"""
+)
 
 
 def proved(k: int, field: Field) -> tuple[int, int]:
@@ -248,6 +259,36 @@ def test_policies_of_your_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert not (tmp_path / "own" / "result.json").exists()
     chosen = {"observation": "local", "dtype": "float64", "n_robots": 3, "condition": "noisy"}
     check_settings(chosen, "noisy", load_protocol())
+
+
+def test_a_search_has_rows_and_prices_at_each_radius(tmp_path: Path) -> None:
+    found = run("greedy-local", ["6-search"], tmp_path)
+    rows = found["tiers"]["6-search"]["instances"]
+    assert [row["comm_radius"] for row in rows] == ["0", "100", "inf"] * COUNT
+    assert {row["information"] for row in rows} == {"own"}
+    none, _, every = ([row["mean"]["makespan"] for row in rows[k::3]] for k in range(3))
+    ratios = [a / b for a, b in zip(none, every, strict=True)]
+    known = prices(rows)
+    assert known["price of decentralisation, 0"].mean == pytest.approx(sum(ratios) / COUNT)
+    bounds = [row["makespan_lower_bound"] for row in rows[::3]]
+    ratios = [a / b for a, b in zip(every, bounds, strict=True)]
+    assert known["price of information"].mean == pytest.approx(sum(ratios) / COUNT)
+    means, priced = result_tables(found).values()
+    assert [line[0] for line in means.lines] == [f"6-search, {name}" for name in splits.RADII]
+    assert len(priced.lines) == 3
+    told = rows[0] | {"mean": None}
+    assert "price of decentralisation, 0" not in prices([told])
+
+
+def test_what_the_tier_fixes_is_no_choice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "far.py").write_text(FAR)
+    with pytest.raises(ConfigError, match="comm_loss: ") as error:
+        run("far:Far", ["6-search"], tmp_path / "out")
+    assert len(error.value.problems) == 1
+    (one, *_) = load_tiers("test", ["6-search"])["6-search"]
+    settings = Source("far:Far").make(one.field, **one.settings).settings
+    assert (settings["sensing_radius"], settings["comm_radius"]) == (100.0, 0.0)
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal: Refusal) -> None:
