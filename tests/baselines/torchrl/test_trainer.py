@@ -84,7 +84,7 @@ def test_a_time_limit_is_bootstrapped_and_a_termination_is_not(
     # ended it.
     reward = rollout[reward_key]
     reward = reward.unsqueeze(-2) if algorithm == "ppo-joint" else reward
-    expected = reward + 0.99 * last * ~ended.unsqueeze(-2)
+    expected = reward + 0.95 * last * ~ended.unsqueeze(-2)
     assert torch.allclose(rollout["value_target"], expected, atol=1e-4)
     assert expected.shape[-2] == (1 if algorithm == "ppo-joint" else 3)
 
