@@ -286,7 +286,7 @@ def test_a_run_of_two_learners_resumes_in_the_second(
     assert_equal(train(config, tmp_path / "run", resume=True), whole)
     radii = [float(row["roi_radius"]) for row in recorded(whole)["rows"]]
     first = len(radii) // 2
-    assert radii[first] == radii[0] > 1.0  # the second begins anew
+    assert radii[first] == radii[0] > 1.0  # the second begins with large ROIs
     assert notes(config)[-1].endswith(f"takes {taken:,} env-steps, not 400")
 
 
