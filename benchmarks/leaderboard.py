@@ -18,14 +18,13 @@ from baselines.compare.benchmark import (
     summaries,
 )
 from baselines.compare.benchmark import COLUMNS as COLUMNS_OF_RESULTS
-from baselines.compare.text_table import TextTable, shown
-from baselines.evaluation.intervals import mean_of_known
+from baselines.compare.text_table import TextTable
 from baselines.policies.shielded import behind
 from baselines.runs.files import read_json, write_text
 from mbn_marl.errors import ConfigError, collecting
-from mbn_marl.field import Instance, splits
+from mbn_marl.field import Instance
 
-SPLIT, REFERENCE = "test", "greedy"
+SPLIT = "test"
 INTRODUCTION = """# Leaderboard
 
 Policies on the split `test` by protocol {version} of [the benchmark](../benchmark.md), which says
@@ -78,9 +77,6 @@ def leaderboard(folder: Path) -> str:
     for tier in (ALL, *protocol.tiers):
         table = _table(found, tier)
         parts += [table.markdown("All tiers" if tier == ALL else tier), ""] if table.lines else []
-    parts += [_by_condition(results, found).markdown(f"{splits.WEATHER} by condition"), ""]
-    if REFERENCE in results:
-        parts += [_faster(results).markdown(f"Instances solved faster than by {REFERENCE}"), ""]
     commands = [f"- {name}: `{record['command']}`" for name, record in results.items()]
     return "\n".join([*parts, "## Commands", "", *commands, ""])
 
@@ -103,34 +99,6 @@ def _table(found: Mapping[str, Mapping[str, Any]], tier: str) -> TextTable:
         lines += [(name, "does not fit", "-", *cells({}, "mean", COLUMNS)) for name in misfits]
     headings = (COLUMNS_OF_RESULTS[column][0] for column in COLUMNS)
     return TextTable("", (*WHO, *headings), lines, words=3)
-
-
-def _by_condition(results: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -> TextTable:
-    lines = []
-    for name, way, one in _ordered(found, splits.WEATHER):
-        rows, texts = results[name]["tiers"][splits.WEATHER]["instances"], []
-        for condition in splits.CONDITIONS:
-            own = [row[way] for row in rows if row["condition"] == condition]
-            forms = {"success_rate": "{:.1%}", "makespan": "{:.1f}"}.items()
-            both = [shown(mean_of_known(row[name] for row in own), form) for name, form in forms]
-            texts.append(", ".join(both))
-        lines.append((name, way, one["information"], *texts))
-    return TextTable("Success and makespan.", (*WHO, *splits.CONDITIONS), lines, words=3)
-
-
-def _faster(results: Mapping[str, Any]) -> TextTable:
-    counts: dict[tuple[str, ...], dict[str, str]] = {}
-    for tier in splits.TIERS:
-        theirs = [row["mean"]["makespan"] for row in results[REFERENCE]["tiers"][tier]["instances"]]
-        for name, record in results.items():
-            rows = record["tiers"][tier]["instances"]
-            for way in (way for way in WAYS if name != REFERENCE and rows and rows[0][way]):
-                pairs = [*zip((row[way]["makespan"] for row in rows), theirs, strict=True)]
-                faster = sum(a is not None and (b is None or a < b) for a, b in pairs)
-                who = name, way, rows[0]["information"]
-                counts.setdefault(who, {})[tier] = f"{faster} of {len(pairs)}"
-    lines = [(*who, *(one.get(tier, "-") for tier in splits.TIERS)) for who, one in counts.items()]
-    return TextTable("", (*WHO, *splits.TIERS), lines, words=3)
 
 
 def _row_name(name: str, record: Mapping[str, Any]) -> str:

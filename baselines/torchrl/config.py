@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from baselines.torchrl.networks import Actor, Critic, Network, Sharing
 from baselines.training.aids import Count, NonNegative, Positive, Share, TrainingAids, between
@@ -55,21 +55,9 @@ class MultiAgentPPOConfig(TrainingAids):
     # The reward, as the learner sees it, of getting a unit nearer to the end of the team's ways. It
     # is a potential, so the best policy stays the same. Only with network "entities".
     shaping: NonNegative
-    # A trained policy to imitate, zoo:NAME or a run's folder. It may see more than the learner. The
-    # loss gets this weight times the squared distance of mean actions from the teacher's.
-    teacher: str | None
-    teacher_weight: tuple[NonNegative, NonNegative]
-    # The share of training, at its beginning, in which the actor only imitates and the critic
-    # waits (DAgger: the learner acts, the teacher says how).
-    imitation_until: Share
     # Mean actions are multiplied by this after the last update. Full force is the fastest, but
     # while noise adds to them, larger means gain little.
     final_gain: Positive
-
-    @field_validator("teacher")
-    @classmethod
-    def _found_from_anywhere(cls, value: str | None) -> str | None:
-        return str(Path(value).resolve()) if value and Path(value).is_dir() else value
 
     @property
     def decisions(self) -> int:

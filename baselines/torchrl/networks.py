@@ -25,8 +25,7 @@ Critic = Literal["centralized", "independent"]
 class Key:
     OBSERVATION, NORMALIZED = ("robots", "observation"), ("robots", "normalized")
     LOC, SCALE, ACTION = ("robots", "loc"), ("robots", "scale"), ("robots", "action")
-    LOG_PROB, VALUE, TEACHER = "log_prob", "state_value", ("robots", "teacher")
-    MASK = ("robots", "mask")
+    LOG_PROB, VALUE, MASK = "log_prob", "state_value", ("robots", "mask")
 
 
 # Normalised observations are clipped to +-CLIP, as is usual (a bit that was rarely set).

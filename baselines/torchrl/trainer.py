@@ -1,17 +1,14 @@
 """MAPPO, IPPO and joint PPO of TorchRL's parts: collect, estimate advantages, descend, repeat."""
 
-import math
 import time
-from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
-from numpy.typing import NDArray
 from pydantic import TypeAdapter
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torchrl.collectors import Collector
 from torchrl.modules import ProbabilisticActor
@@ -19,7 +16,6 @@ from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
 from baselines.policies.load import load_trained, open_run
-from baselines.policies.policy import TrainedPolicy
 from baselines.runs import tensors
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.folder import saved_at
@@ -37,9 +33,9 @@ from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import FieldSampler
 
 NETWORKS, OPTIMIZER = "networks.safetensors", "optimizer.safetensors"
-WORLDS, TEACHER_WORLDS, COUNTERS = "worlds.npz", "teacher_worlds.npz", "counters.json"
+WORLDS, COUNTERS = "worlds.npz", "counters.json"
 MINIMISED = ("loss_objective", "loss_critic", "loss_entropy")
-LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction", "imitation")
+LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction")
 
 
 def train(task: Task, hyperparameters: MultiAgentPPOConfig, recorder: Recorder) -> None:
@@ -53,7 +49,6 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
     few = (settings.n_robots or most) < 2
     wrong = {
         "scattered": (drawn, 0.0, "on random fields"),
-        "imitation_until": (hyperparameters.teacher is None, 0.0, "without a teacher"),
         "shaping": (not sets, 0.0, "with network mlp"),
         "sharing": (sets, "full", "with network entities"),
         "actor": (sets, "decentralized", "with network entities"),
@@ -75,9 +70,6 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
     training = hyperparameters.in_training(task, largest, 1)
     with collecting(problems):
         BatchEngine(**{**training, "field": task.field}, num_worlds=1)
-    if hyperparameters.teacher is not None:
-        with collecting(problems):
-            check_teacher(hyperparameters.teacher, task)
     if problems:
         raise ConfigError("training", problems)
 
@@ -87,57 +79,6 @@ def budget(task: Task, hyperparameters: MultiAgentPPOConfig) -> Budget:
     env_steps = -(-task.config.steps // decisions) * decisions
     steps, worlds = hyperparameters.rollout_steps, hyperparameters.num_worlds
     return Budget(env_steps, f"rollouts of {steps} decisions in {worlds} worlds")
-
-
-# The settings that say what a robot sees, and nothing else.
-SEEN = ("observation", "assignment", "one_hot", "sensing_radius")
-
-
-def find_teacher(source: str, learner: Mapping[str, Any]) -> tuple[TrainedPolicy, dict[str, Any]]:
-    """Return the policy of ``zoo:NAME`` or a run's folder, and the settings of what it sees."""
-    # If it sees an assignment, that is the learner's. A learner that sees none could not know what
-    # was assigned at first: then it is made for where robots are.
-    policy = load_trained(open_run(source))
-    assert policy.origin is not None
-    seen = {name: getattr(policy.origin.config, name) for name in SEEN}
-    shown = make_config(learner).assignment or "fresh"
-    return policy, {**seen, "assignment": shown if seen["assignment"] else False}
-
-
-def check_teacher(source: str, task: Task) -> None:
-    policy, seen = find_teacher(source, task.settings)
-    if policy.observes != "observations":
-        problem = f"teacher: {source} acts on the state; allowed: on robots' own observations"
-        raise ConfigError("training", [problem])
-    policy.fit(BatchEngine(task.field, 1, threads=1, **{**task.settings, **seen}))
-
-
-# A teacher says what it would do where the learner is: Schmitt et al., "Kickstarting Deep
-# Reinforcement Learning", 2018.
-class Teacher:
-    """Follow the learner's rollouts in the same worlds, which show what the teacher sees."""
-
-    # ``learner``: the settings of its environment, in place of which make_env takes some.
-    def __init__(
-        self, source: str, learner: Mapping[str, Any], make_env: Callable[..., NavigationEnv]
-    ) -> None:
-        policy, seen = find_teacher(source, learner)
-        self.env = make_env(**seen)
-        self._policy = policy.fit(self.env.engine)
-        self._now = self.env.reset()
-
-    def actions(self, rollout: TensorDictBase) -> torch.Tensor:
-        """Return the mean actions (W, T, n, 2) for a rollout (W, T) that follows the last one."""
-        answers = []
-        for taken in rollout[Key.ACTION].unbind(1):
-            seen = self._now[Key.OBSERVATION].numpy(force=True)
-            answers.append(torch.from_numpy(self._policy.act(seen, deterministic=True)))
-            _, self._now = self.env.step_and_maybe_reset(self._now.set(Key.ACTION, taken))
-        return torch.stack(answers, 1).clamp_(-1.0, 1.0).to(rollout.device)
-
-    def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:
-        self.env.load_state(saved)
-        self._now = self.env.reset()
 
 
 class Trainer:
@@ -184,12 +125,6 @@ class Trainer:
         self.reward = ("next", *reward)
         self.parameters = list(self.loss.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, eps=config.adam_epsilon, fused=True)
-        if config.teacher is not None:  # the loss works them out anyway
-
-            def keep(_: Any, __: Any, means: torch.Tensor) -> None:
-                self.means = means
-
-            self.network.mean.register_forward_hook(keep)
         self._collect_from(env)
 
     def _make_env(self, **changed: Any) -> NavigationEnv:
@@ -206,9 +141,7 @@ class Trainer:
         )
 
     def _collect_from(self, env: NavigationEnv) -> None:
-        self.env, self.teacher = env, None
-        if self.config.teacher is not None:
-            self.teacher = Teacher(self.config.teacher, self.task.settings, self._make_env)
+        self.env = env
         self.rollouts = iter(
             Collector(
                 env,
@@ -240,10 +173,8 @@ class Trainer:
             started = time.perf_counter()
             rollout = next(self.rollouts).copy()
             collected = time.perf_counter()
-            if not (imitating := progress < config.imitation_until):
-                self._estimate(rollout)
-            weight = 1.0 if imitating else between(config.teacher_weight, progress)
-            losses = self._descend(self._samples(rollout), weight)
+            self._estimate(rollout)
+            losses = self._descend(self._samples(rollout))
             self.network.norm.update(rollout[Key.OBSERVATION])
             diagnostics = {
                 "rollout_seconds": collected - started,
@@ -286,23 +217,8 @@ class Trainer:
             rollout["value_target"] *= rollout[Key.OBSERVATION].any(-1, keepdim=True)
 
     def _samples(self, rollout: TensorDictBase) -> TensorDictBase:
-        if self.teacher is not None:
-            rollout[Key.TEACHER] = self.teacher.actions(rollout)
         kept = (Key.NORMALIZED, Key.ACTION, Key.LOG_PROB, "advantage", "value_target")
-        return rollout.select(*kept, Key.TEACHER, strict=False).reshape(-1)
-
-    def _losses(self, part: TensorDictBase, weight: float) -> TensorDictBase:
-        if "advantage" in part:
-            losses = self.loss(part)
-            total: Any = sum(losses[name] for name in MINIMISED)
-        else:
-            self.network.means(part[Key.NORMALIZED])
-            losses, total = TensorDict(dict.fromkeys(LOGGED, torch.tensor(math.nan))), 0.0
-        if self.teacher is not None:
-            apart = self.means.reshape(part[Key.TEACHER].shape) - part[Key.TEACHER]
-            losses["imitation"] = apart.square().sum(-1).mean()
-            total = total + weight * losses["imitation"]
-        return losses.set("total", total)
+        return rollout.select(*kept).reshape(-1)
 
     def _shaped(self, rollout: TensorDictBase, tokens: Tokens) -> torch.Tensor:
         # By how many units each decision has shortened the ways left, discounted. After the end
@@ -316,21 +232,21 @@ class Trainer:
         nearer: torch.Tensor = before - self.estimator.gamma * after * running
         return nearer
 
-    def _descend(self, samples: TensorDictBase, weight: float) -> dict[str, float]:
+    def _descend(self, samples: TensorDictBase) -> dict[str, float]:
         # The normalisation does not change meanwhile: old and new log-probabilities are of the
-        # same inputs. ``weight`` is that of the distance from the teacher's actions.
+        # same inputs.
         history = []
         for _ in range(self.config.epochs):
             order = torch.randperm(len(samples), device=samples.device)
             for rows in order.chunk(self.config.minibatches):
                 pick = partial(torch.index_select, dim=0, index=rows)  # faster than samples[rows]
                 part = samples.apply(pick, batch_size=rows.shape)
-                losses = self._losses(part, weight)
+                losses = self.loss(part)
                 self.optimizer.zero_grad()
-                losses["total"].backward()
+                sum(losses[name] for name in MINIMISED).backward()
                 torch.nn.utils.clip_grad_norm_(self.parameters, self.config.max_grad_norm)
                 self.optimizer.step()
-                history.append(losses.select(*LOGGED, strict=False).detach())
+                history.append(losses.select(*LOGGED).detach())
         means: Any = torch.stack(history).mean(0)
         return {name.removeprefix("loss_"): value.item() for name, value in means.items()}
 
@@ -339,8 +255,6 @@ class Trainer:
         moments = tensors.moments_of(self.optimizer.state_dict())
         tensors.write_tensors(folder / OPTIMIZER, moments)
         write_arrays(folder / WORLDS, self.env.save_state(), compress=True)
-        if self.teacher is not None:
-            write_arrays(folder / TEACHER_WORLDS, self.teacher.env.save_state(), compress=True)
         counters = {"env_steps": env_steps, "curriculum": asdict(self.curriculum)}
         write_json(folder / COUNTERS, {**counters, "generators": tensors.save_generators()})
 
@@ -355,8 +269,6 @@ class Trainer:
             env = self._make_env()
             env.load_state(read_arrays(folder / WORLDS))
             self._collect_from(env)
-            if self.teacher is not None:
-                self.teacher.load_state(read_arrays(folder / TEACHER_WORLDS))
             # Last, since a new collector tries the policy.
             tensors.restore_generators(counters["generators"])
             began = self.recorder.began

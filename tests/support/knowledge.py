@@ -24,7 +24,7 @@ def drawn_decoys(decoys: Any, m: int, *place: int) -> set[int]:
 
 
 class Knowledge:
-    """What each robot of an oracle knows: a set of ROIs that are done, and that it has found."""
+    """The ROIs that each robot of an oracle knows to be done, and those that it has found."""
 
     def __init__(
         self,

@@ -130,7 +130,7 @@ class Oracle:
         return int("".join("1" if bit else "0" for bit in bits), 2)
 
     def is_done(self, i: int, j: int) -> bool:
-        """Whether robot i knows that ROI j is visited or empty."""
+        """Return whether robot i knows that ROI j is visited or empty."""
         return ("done", j) in self.knowledge.words[i] if self.knowledge else self.visited[j]
 
     def is_left(self, i: int, j: int) -> bool:

@@ -199,6 +199,12 @@ def test_page_holds_its_episodes() -> None:
     assert "<b>long" not in long and long.count("</script>") == short.count("</script>")
 
 
+MEASURED = (
+    *(("return_mean", 7e4), ("success_rate", 0.5)),
+    *(("makespan", 34.0), ("gap", 1.0), ("spl", 0.25)),
+)
+
+
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two finished runs of one algorithm, with the zoo's policy and made-up evaluations."""
@@ -211,12 +217,11 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         config = json.loads((run / "config.json").read_text())
         (run / "config.json").write_text(json.dumps({**config, "seed": seed}))
         (run / "command.txt").write_text(f"mbn train --seed {seed} <field>\n")
+        (run / "versions.json").write_text(json.dumps(card["versions"]))
         evaluation = {name: card[name] for name in ("stochastic", "deterministic")}
-        evaluation |= {"env_steps": 4096, "seconds": 2.0}
-        history = [
-            {"env_steps": 2048 * count, "seconds": count, "return_mean": 7e4 * count + seed}
-            for count in (1, 2)
-        ]
+        evaluation |= {"env_steps": 4096, "policy_env_steps": 4096, "seconds": 2.0}
+        both = {f"{way}{name}": value for way in ("", "deterministic_") for name, value in MEASURED}
+        history = [{"env_steps": 2048 * count, "seconds": count, **both} for count in (1, 2)]
         (run / "evaluation.json").write_text(json.dumps(evaluation))
         (run / "evaluations.json").write_text(json.dumps(history))
     return folder
@@ -235,7 +240,7 @@ def test_the_report_is_one_page_with_everything(
     text = browser.run("document.body.textContent")
     assert f"mbn report {runs} -o {out}" in text and "mbn train --seed 1 <field>" in text
     pictures = browser.run("[...document.images].map(one => [one.alt, one.naturalWidth > 100])")
-    assert ["Performance profiles", True] in pictures and all(shown for _, shown in pictures)
+    assert ["Makespan gaps", True] in pictures and all(shown for _, shown in pictures)
     browser.press("End")
     assert fact(browser, 0, "ROIs") == "0/6", "keys are the page's until a player is touched"
     browser.run("document.querySelector('[data-replay] .scrub').focus()")
@@ -250,7 +255,7 @@ def test_a_report_is_written_or_refused_before_the_work(
     out, new = tmp_path / "report.html", str(tmp_path / "new.html")
     assert main(["report", str(runs), "-o", str(out)]) == 0
     page = out.read_text(encoding="utf-8")
-    for expected in ("Performance profiles", "Learning curves on field_03", "best: run0"):
+    for expected in ("Makespan gaps", "Learning curves on field_03", "best: run0"):
         assert expected in page, expected
     capsys.readouterr()
     assert main(["report", str(runs), "-o", str(out)]) == 2

@@ -1,4 +1,4 @@
-"""What tables say that a policy sees."""
+"""The information that a policy acts on."""
 
 from __future__ import annotations
 

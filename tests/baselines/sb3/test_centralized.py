@@ -263,7 +263,7 @@ def test_policy_of_all_robots_observations_is_kept_and_evaluated(tmp_path: Path)
     run = train(config_of("ppo", joint_observation=True), tmp_path / "run")
     policy = load_trained(run)
     assert policy.observes == "observations"
-    how = {"episodes": 2, "deterministic": True}
+    how = {"episodes": 1, "deterministic": True}
     again = evaluate(policy, run.field, run.config["environment"], **how)
     assert again.to_json() == run.evaluation["deterministic"]
     with pytest.raises(ConfigError, match="observation: "):
