@@ -18,13 +18,19 @@ from rich.table import Column
 from torch.utils.tensorboard import SummaryWriter
 
 from baselines.console import console
-from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, Place, evaluate, unseen
+from baselines.evaluation.evaluate import (
+    EVALUATION_SEED,
+    Evaluation,
+    Place,
+    evaluate,
+    is_one_episode,
+    unseen,
+)
 from baselines.policies.load import load_trained
 from baselines.policies.policy import TrainedPolicy
 from baselines.runs.files import read_json, reading, write_json
 from baselines.runs.folder import RunFolder, saved_at
 from baselines.training.config import Task
-from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import FieldSampler, load_split
 
@@ -264,7 +270,7 @@ class Recorder:
         self, policy: TrainedPolicy, times: int, seed: int
     ) -> tuple[Evaluation, Evaluation]:
         task, several = self._task, times * self._task.config.episodes
-        drawn = make_config(task.settings).is_random
+        drawn = not is_one_episode(policy, task.settings, deterministic=True)
         place: Place = unseen(task.field, seed)
         if task.config.tier is not None:
             place = load_split("test" if times > 1 else "validation", task.config.tier)

@@ -65,13 +65,12 @@ class Study(Benchmark):
         given = {name: getattr(self, name) for name in ("fields", "seeds", "steps")}
         path = Path(__file__).with_name(f"{self.study}.yaml")
         values: Any = parse_yaml(path.read_bytes(), str(path))
-        plan = validate(Plan, values, str(path))
-        # Fields that are no names are files in this folder.
-        fields = [
-            str(one) if (one := path.parent / name).is_file() else name for name in plan.fields
-        ]
-        changes = {name: value for name, value in given.items() if value}
-        return plan.model_copy(update={"fields": tuple(fields), **changes})
+        asked = {**values, **{name: value for name, value in given.items() if value}}
+        plan = validate(Plan, asked, str(path))
+        # A field may be a file in this folder.
+        here = ((name, path.parent / name) for name in plan.fields)
+        fields = tuple(str(file) if file.is_file() else name for name, file in here)
+        return plan.model_copy(update={"fields": fields})
 
     def config(self) -> CompareConfig:
         plan = self.plan
