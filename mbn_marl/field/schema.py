@@ -165,13 +165,15 @@ def _geometry_problems(values: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _kind_problems(values: Mapping[str, Any]) -> Iterator[str]:
-    of_rois, of_starts = (values.get(name) or [] for name in KINDS)
+    of_rois, of_starts = (values.get(name) for name in KINDS)  # None if they are not readable
     for name, kinds in (("roi", of_rois), ("start", of_starts)):
-        count = len(values.get(f"{name}s") or [])
-        if (of_rois or of_starts) and len(kinds) != count:
-            yield f"{name}_kinds: {len(kinds)} of them; allowed: {count}, as many as {name}s"
-    for j, kind in enumerate(of_rois):
-        if kind is not None and kind not in of_starts:
+        points = values.get(f"{name}s")
+        if kinds is None or points is None or not (of_rois or of_starts):
+            continue
+        if len(kinds) != len(points):
+            yield f"{name}_kinds: {len(kinds)} of them; allowed: {len(points)}, as many as {name}s"
+    for j, kind in enumerate(of_rois or []):
+        if kind is not None and of_starts is not None and kind not in of_starts:
             yield f"roi_kinds[{j}]: {kind}; allowed: a kind of start_kinds, or None for all robots"
 
 

@@ -163,8 +163,8 @@ class Pilot:
         velocity = np.array([body.vx, body.vy], float)
         targets = [
             np.array(roi, float) - position
-            for roi, seen in zip(self.oracle.rois, self.oracle.visited, strict=True)
-            if not seen
+            for j, roi in enumerate(self.oracle.rois)
+            if self.oracle.is_mine(robot, j) and not self.oracle.visited[j]
         ]
         nearest = min(targets, key=np.linalg.norm, default=np.zeros(2))
         return np.clip(nearest / 4.0, -4.0, 4.0) - velocity
