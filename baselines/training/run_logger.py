@@ -55,7 +55,7 @@ class Report:
     finished: bool = False
     # Of training, evaluations excluded.
     steps_per_second: float = 0.0
-    # Of the last fresh evaluation, if there was one: share of successes, and their mean length.
+    # Of the last evaluation, if there was one: share of successes, and their mean length.
     success_rate: float | None = None
     makespan: float | None = None
     # Why the run failed.
@@ -221,7 +221,7 @@ class Recorder:
         due = self.checkpoint_due or evaluation_due or slow
         self.checkpoint_due = due and not last
         if not last:
-            self._report(env_steps)
+            self._report(env_steps, self._evaluations[-1] if self._evaluations else {})
         self.start()
 
     def save_checkpoint(
@@ -265,7 +265,7 @@ class Recorder:
         results = {"stochastic": sampled.to_json(), "deterministic": mean.to_json()}
         kept = {"policy_env_steps": self._best[-1]}
         self._folder.finish({**self._times(env_steps), **kept, **results})
-        self._report(env_steps, finished=True)
+        self._report(env_steps, sampled.summary(), finished=True)
 
     def _write_row(self, env_steps: int) -> None:
         self._stop()
@@ -320,8 +320,7 @@ class Recorder:
         self.scalars(env_steps, {f"evaluation/{name}": entry[name] for name in names})
         write_json(self._folder.path / "evaluations.json", self._evaluations)
 
-    def _report(self, env_steps: int, *, finished: bool = False) -> None:
-        last = self._evaluations[-1] if self._evaluations else {}
+    def _report(self, env_steps: int, found: Mapping[str, Any], *, finished: bool = False) -> None:
         speed = env_steps / self._seconds if self._seconds else 0.0
-        results = (last.get(name) for name in ("success_rate", "makespan"))
+        results = (found.get(name) for name in ("success_rate", "makespan"))
         self._listener(Report(self._name, env_steps, finished, speed, *results))
