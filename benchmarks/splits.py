@@ -18,21 +18,30 @@ from mbn_marl.config import make_config
 from mbn_marl.episode import play
 from mbn_marl.errors import ConfigError, EpisodeError, FieldError, unknown
 from mbn_marl.field import Field, FieldSampler
+from mbn_marl.field.generator.passages import Passages
 from mbn_marl.field.splits import (
     CONDITIONS,
     DECOYS,
+    FIELDS,
     NAMES,
+    PASSAGES,
     SEARCH,
+    SETTINGS,
     VERSION,
     WEATHER,
     Split,
     geometry_hash,
+    make_sampler,
     sampler_of,
     search_settings,
 )
 from mbn_marl.planning import UnsolvableError, plan
 
 COUNT = 100
+WORK_LIMIT = 1500
+"""Of the planner for a field of 7-passages."""
+COUPLED = 1.2
+"""The least index, makespan / bound without collisions, of a field of 7-passages."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +107,7 @@ class Splits:
         while len(record["instances"]) < self.count:
             number, began = record["candidates"], time.process_time()
             known = {one["geometry"]: one["candidate"] for one in record["instances"]}
-            found = self._try(FieldSampler(**begun["sampler"]), tier, number, known)
+            found = self._try(make_sampler(split, tier), tier, number, known)
             if isinstance(found, str):
                 record["rejected"].append({"candidate": number, "reason": found})
             else:
@@ -110,7 +119,7 @@ class Splits:
             write_json(path, record)
 
     def _try(
-        self, sampler: FieldSampler, tier: str, number: int, known: Mapping[str, int]
+        self, sampler: FieldSampler | Passages, tier: str, number: int, known: Mapping[str, int]
     ) -> str | tuple[dict[str, Any], NDArray[np.float32]]:
         try:
             field = sampler.field(number)
@@ -119,14 +128,18 @@ class Splits:
                 return f"the same as candidate {known[geometry]}"
             searched = drawn_empty(sampler, number) if tier == SEARCH else {}
             empty = searched.get("empty", ())
-            found = plan(field, visited=empty, time_limit=self.seconds)
+            limit = {"work_limit": WORK_LIMIT} if tier == PASSAGES else {"time_limit": self.seconds}
+            found = plan(field, visited=empty, **limit)
         except (FieldError, UnsolvableError) as error:
             return str(error)
         if found.makespan is None:
             return "no plan was found"
         if searched and not found.optimal:
             return "no plan was proved"
-        if problem := plan_problem(field, found.actions, found.makespan, empty):
+        index = found.makespan / found.makespan_lower_bound
+        if tier == PASSAGES and index < COUPLED:
+            return f"index {index:.2f}"
+        if problem := plan_problem(field, found.actions, found.makespan, known_of(sampler, empty)):
             return problem
         instance = {
             **{"family": field.name.partition("-")[0], "seed": sampler.seed, "candidate": number},
@@ -135,8 +148,8 @@ class Splits:
             "makespan_lower_bound": found.makespan_lower_bound,
             "makespan": found.makespan,
             "plan": array_hash(found.actions),
-            "seconds": round(found.seconds, 2),
-            "time_limit": self.seconds,
+            **({} if tier == PASSAGES else {"seconds": round(found.seconds, 2)}),
+            **limit,
         }
         return instance, found.actions
 
@@ -151,7 +164,7 @@ class Splits:
         yield from (f"{name}: is another" for name in begun if record.get(name) != begun[name])
         if len({one["geometry"] for one in instances}) < len(instances):
             yield "geometry: two instances have the same"
-        sampler, plans = FieldSampler(**begun["sampler"]), read_arrays(path.with_suffix(".npz"))
+        sampler, plans = make_sampler(split, tier), read_arrays(path.with_suffix(".npz"))
         for k in np.unique(np.linspace(0, len(instances) - 1, self.count).astype(int)):
             one = instances[k]
             actions = plans[str(one["candidate"])].astype(np.float32)
@@ -166,9 +179,9 @@ def definition(split: Split, tier: str) -> dict[str, Any]:
     return {"version": VERSION, "split": split, "tier": tier, "sampler": sampler}
 
 
-def drawn_empty(sampler: FieldSampler, number: int) -> dict[str, list[int]]:
+def drawn_empty(sampler: FieldSampler | Passages, number: int) -> dict[str, list[int]]:
     """Return which ROIs of a candidate are empty; NumPy draws them by its seed and number."""
-    rois, random = sampler.rois[0], np.random.default_rng([sampler.seed, number])
+    rois, random = FIELDS[SEARCH]["rois"], np.random.default_rng([sampler.seed, number])
     return {"empty": sorted(random.choice(rois, DECOYS, replace=False).tolist())}
 
 
@@ -199,13 +212,20 @@ def array_hash(actions: NDArray[np.float32]) -> str:
     return hashlib.sha256(actions.astype("<f4").tobytes()).hexdigest()
 
 
+def known_of(sampler: FieldSampler | Passages, empty: Sequence[int]) -> Mapping[str, Any]:
+    """Return the settings that the tier of a field fixes."""
+    if isinstance(sampler, Passages):
+        return SETTINGS[PASSAGES]
+    return search_settings(empty, 0.0) if empty else {}
+
+
 def plan_problem(
-    field: Field, actions: NDArray[np.float32], makespan: int, empty: Sequence[int] = ()
+    field: Field, actions: NDArray[np.float32], makespan: int, fixed: Mapping[str, Any] = {}
 ) -> str | None:
     """Return why the actions (T, n, 2) are no clean episode of that length in the engine."""
-    searched = search_settings(empty, 0.0) | {"observation": "entities"} if empty else {}
+    seen = {"observation": "entities"} if fixed else {}
     try:
-        episode = play(field, make_config(searched), actions)
+        episode = play(field, make_config({**fixed, **seen}), actions)
     except EpisodeError as error:
         return f"plan: {error}"
     if episode.outcome != "success" or episode.steps != makespan:
@@ -214,7 +234,10 @@ def plan_problem(
 
 
 def instance_problems(
-    sampler: FieldSampler, one: Mapping[str, Any], actions: NDArray[np.float32], seconds: float
+    sampler: FieldSampler | Passages,
+    one: Mapping[str, Any],
+    actions: NDArray[np.float32],
+    seconds: float,
 ) -> Iterator[str]:
     """Make, play and prove an instance again; yield what is not as it was written down."""
     field = sampler.field(one["candidate"])
@@ -224,9 +247,10 @@ def instance_problems(
     if array_hash(actions) != one["plan"]:
         yield "plan: its hash is another"
     empty = one.get("empty", ())
-    if problem := plan_problem(field, actions, one["makespan"], empty):
+    if problem := plan_problem(field, actions, one["makespan"], known_of(sampler, empty)):
         yield problem
-    found = plan(field, visited=empty, time_limit=seconds)
+    limit = {"work_limit": one["work_limit"]} if "work_limit" in one else {"time_limit": seconds}
+    found = plan(field, visited=empty, **limit)
     if found.makespan_lower_bound > one["makespan"]:
         yield f"makespan: {one['makespan']}, but {found.makespan_lower_bound} is proved"
     if found.makespan_lower_bound < one["makespan_lower_bound"]:
@@ -239,7 +263,7 @@ def _line(record: Mapping[str, Any]) -> tuple[str, ...]:
     if record["tier"] == WEATHER:
         return *words, str(len(instances)), *["-"] * 5
     gaps = [1.0 - one["makespan_lower_bound"] / one["makespan"] for one in instances]
-    seconds = [one["seconds"] for one in instances]
+    seconds = [one.get("seconds", np.nan) for one in instances]
     return (
         *(*words, str(len(instances)), str(len(record["rejected"]))),
         *(str(gaps.count(0.0)), f"{np.median(gaps):.1%}"),

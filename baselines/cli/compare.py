@@ -132,7 +132,8 @@ class Benchmark(Writes):
     shield: bool = False
     """Let robots do only what they could brake after, whatever the policy wants."""
     tiers: tuple[str, ...] = ()
-    """Some of 1-convex, 2-sizes, 3-shapes, 4-crowds, 5-weather, which are the default, 6-search."""
+    """Some of 1-convex, 2-sizes, 3-shapes, 4-crowds, 5-weather, which are the default, 6-search,
+    7-passages."""
     out: OptionalOutput = None
     """The folder to write: result.json, page.html, episodes; by default
     runs/benchmark-POLICY-SPLIT."""

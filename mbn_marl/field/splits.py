@@ -20,6 +20,7 @@ from pydantic import Field as Described
 from mbn_marl.config import Condition, describe
 from mbn_marl.errors import FieldError, ProblemsError, unknown
 from mbn_marl.field.field import Field
+from mbn_marl.field.generator.passages import Passages
 from mbn_marl.field.generator.sampler import FieldSampler
 
 VERSION = 1
@@ -38,16 +39,24 @@ WEATHER = "5-weather"
 CONDITIONS: tuple[Condition, ...] = ("windy", "gusty", "noisy", "delayed", "failing")
 SEARCH = "6-search"
 """Robots that know only their own look for the ROIs that are not empty."""
-FIELDS = {**TIERS, SEARCH: {"families": ["convex"], "robots": 5, "rois": 24, "size": 700}}
+PASSAGES = "7-passages"
+"""Two kinds of robots change sides, through doors for one at a time."""
+FIELDS: Mapping[str, Mapping[str, Any]] = {
+    **TIERS,
+    SEARCH: {"families": ["convex"], "robots": 5, "rois": 24, "size": 700},
+    PASSAGES: {},
+}
 """The tiers that freeze fields."""
 DECOYS = 12
-SETTINGS: Mapping[str, Any] = {
-    **{"knowledge": "own", "sensing_radius": 100.0, "look_radius": 60.0, "max_steps": 600}
+OWN: Mapping[str, Any] = {"knowledge": "own", "sensing_radius": 100.0, "max_steps": 600}
+SETTINGS: Mapping[str, Mapping[str, Any]] = {
+    SEARCH: {**OWN, "look_radius": 60.0},  # and each instance's empty_rois
+    PASSAGES: {**OWN, "comm_radius": 100.0},
 }
-"""Those that 6-search fixes, beside each instance's ``empty_rois``."""
+"""Those that a tier fixes."""
 RADII: Mapping[str, float] = {"0": 0.0, "100": 100.0, "inf": math.inf}
 """Its communication radii by name: each makes an instance of every field."""
-NAMES = (*TIERS, WEATHER, SEARCH)
+NAMES = (*TIERS, WEATHER, SEARCH, PASSAGES)
 Split = Literal["validation", "test"]
 FOLDER = files("envs_catalog") / "splits"
 """With a file for each split and tier."""
@@ -134,8 +143,8 @@ def load_split(
 
     Args:
         split: ``"validation"`` or ``"test"``.
-        tier: ``"1-convex"``, ``"2-sizes"``, ``"3-shapes"``, ``"4-crowds"``, ``"5-weather"`` or
-            ``"6-search"``.
+        tier: ``"1-convex"``, ``"2-sizes"``, ``"3-shapes"``, ``"4-crowds"``, ``"5-weather"``,
+            ``"6-search"`` or ``"7-passages"``.
         folder: with the files; by default those that are installed.
 
     Raises:
@@ -161,7 +170,7 @@ def load_split(
         raise FieldError(str(path), [f"file: cannot be read: {error}"]) from None
     if (found.split, found.tier) != (split, tier):
         raise FieldError(str(path), [f"file: is of {found.split}, {found.tier}"])
-    samplers = {name: FieldSampler(**sampler_of(found.split, name)) for name in FIELDS}
+    samplers = {name: make_sampler(found.split, name) for name in FIELDS}
     instances, fields = [], set[str]()
     for k, one in enumerate(found.instances):
         try:
@@ -175,7 +184,7 @@ def load_split(
             problems.append(f"instances.{k}.candidate: {one.candidate} again")
         fields.add(one.geometry)
         known = one.makespan_lower_bound, one.makespan
-        whole = Instance(field, one.condition, *known)
+        whole = Instance(field, one.condition, *known, SETTINGS.get(tier, {}))
         instances += (
             [whole]
             if tier != SEARCH
@@ -194,9 +203,14 @@ def sampler_of(split: Split, tier: str) -> dict[str, Any]:
     return {**FIELDS[tier], "seed": SEEDS[split] + NAMES.index(tier)}
 
 
+def make_sampler(split: Split, tier: str) -> FieldSampler | Passages:
+    made = Passages if tier == PASSAGES else FieldSampler
+    return made(**sampler_of(split, tier))
+
+
 def search_settings(empty: Sequence[int], radius: float) -> dict[str, Any]:
     """Return what the tier 6-search fixes of the environment of an instance."""
-    return {**SETTINGS, "empty_rois": tuple(empty), "comm_radius": radius}
+    return {**SETTINGS[SEARCH], "empty_rois": tuple(empty), "comm_radius": radius}
 
 
 def geometry_hash(field: Field) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+import shapely
 
 from baselines.runs.files import read_arrays, read_json
 from benchmarks.splits import definition, instance_problems, weather
@@ -15,7 +16,18 @@ from mbn_marl import FieldSampler
 from mbn_marl.config import make_config
 from mbn_marl.errors import FieldError
 from mbn_marl.field import load_split
-from mbn_marl.field.splits import FOLDER, NAMES, RADII, SEARCH, TIERS, WEATHER, Split
+from mbn_marl.field.splits import (
+    FOLDER,
+    NAMES,
+    PASSAGES,
+    RADII,
+    SEARCH,
+    SETTINGS,
+    TIERS,
+    WEATHER,
+    Split,
+    make_sampler,
+)
 from tests.support.field_cases import places_of
 from tests.support.frozen import write_split, write_splits
 
@@ -43,6 +55,22 @@ def test_a_searched_field_is_there_at_each_radius_with_its_empty_rois(tmp_path: 
     known = config.knowledge, config.comm_radius, config.look_radius, config.max_steps
     assert known == ("own", 100.0, 60.0, 600)
     assert config.empty_rois == tuple(range(12))
+
+
+def test_passages_have_two_kinds_and_what_the_tier_fixes(tmp_path: Path) -> None:
+    write_split(tmp_path, PASSAGES, 5)
+    for one in load_split("test", PASSAGES, tmp_path):
+        field, config = one.field, make_config({"observation": "entities", **one.settings})
+        assert (config.knowledge, config.comm_radius, config.max_steps) == ("own", 100.0, 600)
+        rooms = shapely.get_parts(field.polygon.buffer(-4.0))  # doors are less than 8 wide
+        assert 2 <= len(rooms) <= 3 and shapely.area(rooms).max() < 92.0**2
+        starts, rois = (
+            shapely.contains(rooms[:, None], shapely.points(points)).argmax(axis=0).tolist()
+            for points in (field.starts, field.rois)
+        )
+        homes = dict(zip(field.start_kinds, starts, strict=True))
+        assert homes[0] != homes[1] and starts == [homes[kind] for kind in field.start_kinds]
+        assert rois == [homes[1 - kind] for kind in field.roi_kinds]
 
 
 def test_a_field_that_is_another_is_an_error_that_names_it(tmp_path: Path) -> None:
@@ -111,15 +139,17 @@ def test_the_installed_splits_are_proved(split: Split, tier: str) -> None:
         assert record == weather(INSTALLED, split, 100)
         return
     assert {**record, **definition(split, tier)} == record
-    plans, sampler = read_arrays(path.with_suffix(".npz")), FieldSampler(**record["sampler"])
-    for one in sorted(record["instances"], key=lambda one: float(one["seconds"]))[:2]:
+    plans, sampler = read_arrays(path.with_suffix(".npz")), make_sampler(split, tier)
+    for one in sorted(record["instances"], key=lambda one: one.get("seconds", one["robots"]))[:2]:
         actions = plans[str(one["candidate"])]
-        assert [*instance_problems(sampler, one, actions, one["time_limit"])] == []
+        assert [*instance_problems(sampler, one, actions, 60.0)] == []
 
 
 def test_the_names_of_tiers_are_those_of_the_page() -> None:
     page = (Path(__file__).parents[2] / "docs" / "fields.md").read_text(encoding="utf-8")
     section = page.split("### Frozen fields")[1]
     assert (
-        tuple(re.findall(r"(?m)^\| `([\w-]+)` \|", section)) == NAMES == (*TIERS, WEATHER, SEARCH)
+        tuple(re.findall(r"(?m)^\| `([\w-]+)` \|", section))
+        == NAMES
+        == (*TIERS, WEATHER, *SETTINGS)
     )

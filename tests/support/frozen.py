@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.splits import definition, weather
-from mbn_marl import Field, FieldSampler
-from mbn_marl.field.splits import DECOYS, FIELDS, SEARCH, WEATHER, geometry_hash, sampler_of
+from mbn_marl import Field
+from mbn_marl.field.splits import DECOYS, FIELDS, SEARCH, WEATHER, geometry_hash, make_sampler
 
 
 def write_split(
@@ -19,7 +19,7 @@ def write_split(
     bounds: Callable[[int, Field], tuple[int, int]] = lambda k, field: (k + 10, k + 12),
     **changed: Any,
 ) -> Path:
-    sampler, instances = FieldSampler(**sampler_of("test", tier)), []
+    sampler, instances = make_sampler("test", tier), []
     for k in range(count):
         field = sampler.field(2 * k)
         least, best = bounds(k, field)
