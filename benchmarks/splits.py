@@ -128,7 +128,8 @@ class Splits:
                 return f"the same as candidate {known[geometry]}"
             searched = drawn_empty(sampler, number) if tier == SEARCH else {}
             empty = searched.get("empty", ())
-            limit = {"work_limit": WORK_LIMIT} if tier == PASSAGES else {"time_limit": self.seconds}
+            limit: dict[str, Any] = {"time_limit": self.seconds}
+            limit = {"work_limit": WORK_LIMIT} if tier == PASSAGES else limit
             found = plan(field, visited=empty, **limit)
         except (FieldError, UnsolvableError) as error:
             return str(error)

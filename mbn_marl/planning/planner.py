@@ -264,5 +264,5 @@ def _search(
 def plan_greedily(problem: Problem, player: Player, deadline: float) -> Playback | None:
     """Return the greedy controller's episode if it is clean and complete by the deadline."""
     greedy = Greedy(problem)
-    playback = player.play(lambda *seen: None if problem.clock(1) > deadline else greedy.act(*seen))
+    playback = player.play(lambda *seen: None if problem.clock(0) > deadline else greedy.act(*seen))
     return playback if playback.clean else None

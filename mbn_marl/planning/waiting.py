@@ -48,7 +48,9 @@ def quickest(team: Team, routes: Sequence[Route]) -> list[Route]:
     return quick
 
 
-def waits(problem: Problem, ways: Sequence[Floats], most: int) -> list[list[int]] | None:
+def waits(
+    problem: Problem, ways: Sequence[Floats], most: int, deadline: float
+) -> list[list[int]] | None:
     """Return each robot's place on its way after each step, or ``None`` if none are clear.
 
     The ways (L + 1, 2) begin at the starts, in units. The robots are at their ends after at most
@@ -65,6 +67,8 @@ def waits(problem: Problem, ways: Sequence[Floats], most: int) -> list[list[int]
     random, best = np.random.default_rng(0), None
     order, seen = sorted(range(n), key=lambda i: -len(ways[i])), set[tuple[int, ...]]()
     for _ in range(ORDERS):
+        if problem.clock(0) > deadline:
+            break
         if tuple(order) in seen:
             order = random.permutation(n).tolist()
         seen.add(tuple(order))
@@ -162,7 +166,7 @@ def wait(
     paths = [np.concatenate([start[None], route.visits.path]) for start, route in both]
     for lane in LANES:
         ways = [_beside(problem, path, lane * problem.config.safety_distance) for path in paths]
-        if (places := waits(problem, ways, most)) is not None:
+        if (places := waits(problem, ways, most, deadline)) is not None:
             length = max(map(_end, places))
             tries += [(math.ceil(pace * length), length, places, ways) for pace in PACES]
     for steps, length, places, ways in sorted(tries, key=lambda one: one[0]):

@@ -9,8 +9,10 @@ from random import Random
 from mbn_marl.field.field import Field
 
 Point = tuple[float, float]
-ROOMS, TEAM, ROIS = (2, 3), (2, 4), (2, 4)
-"""Ranges: rooms; robots and ROIs of each of the two kinds."""
+ROOMS = (2, 2, 2, 3)
+"""How many there are: each entry is equally likely. Robots seldom wait where there are three."""
+TEAM, ROIS = (2, 4), (2, 4)
+"""Ranges: robots and ROIs of each of the two kinds."""
 SIDE, WIDTH, DEPTH = (60.0, 100.0), (5.0, 8.0), (20.0, 60.0)
 """Ranges of a room's sides, a door's width and its depth, in units."""
 WALL, APART, JAMB = 8.0, 20.0, 20.0
@@ -27,7 +29,8 @@ class Passages:
     def field(self, number: int) -> Field:
         random = Random(f"{self.seed} {number}")
         while True:
-            rooms, team, rois = (random.randint(*ends) for ends in (ROOMS, TEAM, ROIS))
+            rooms = random.choice(ROOMS)
+            team, rois = (random.randint(*ends) for ends in (TEAM, ROIS))
             lower: list[Point] = []
             upper: list[Point] = []
             ends, x = [], 0.0
@@ -53,8 +56,10 @@ class Passages:
         corners, goals, starts = (
             [(round(x - left, 3), round(y - low, 3)) for x, y in part] for part in parts
         )
-        kinds = {"roi_kinds": [0] * rois + [1] * rois, "start_kinds": [0] * team + [1] * team}
-        return Field(corners, goals, starts, name=f"passages-{self.seed}-{number}", **kinds)
+        of_goals, of_starts = ([0] * count + [1] * count for count in (rois, team))
+        name = f"passages-{self.seed}-{number}"
+        kinds = {"roi_kinds": of_goals, "start_kinds": of_starts}
+        return Field(corners, goals, starts, name=name, **kinds)
 
 
 def _scattered(
