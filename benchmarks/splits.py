@@ -38,7 +38,7 @@ from mbn_marl.field.splits import (
 from mbn_marl.planning import UnsolvableError, plan
 
 COUNT = 100
-WORK_LIMIT = 1500
+WORK_LIMIT = 3000
 """Of the planner for a field of 7-passages."""
 COUPLED = 1.2
 """The least index, makespan / bound without collisions, of a field of 7-passages."""

@@ -34,7 +34,7 @@ ROUNDS = 12
 """Linearisations of the distances in one attempt."""
 FEWER = 4
 """Those of an attempt that begins with routes that keep the robots apart."""
-WORK = 20
+WORK = 8
 """A motion of so many steps of robots takes as much time as a linear program of a route."""
 WATCH = 1.5
 """Pairs closer than this many safety distances are kept apart from the next round on."""
@@ -283,7 +283,7 @@ def coordinate(
     random = np.random.default_rng(0)
     visits = [list(zip(route.visits.steps, route.order, strict=True)) for route in routes]
     paths = padded(problem, routes, steps)
-    close = close_pairs(problem, paths, random, far) if far else ()
+    close = [*close_pairs(problem, paths, random, far)] if far else []
     for _ in range(FEWER if far else ROUNDS):
         separations.update({(pair.i, pair.j, pair.step): pair for pair in close})
         places = surroundings(problem, paths)

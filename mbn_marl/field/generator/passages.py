@@ -58,8 +58,7 @@ class Passages:
         )
         of_goals, of_starts = ([0] * count + [1] * count for count in (rois, team))
         name = f"passages-{self.seed}-{number}"
-        kinds = {"roi_kinds": of_goals, "start_kinds": of_starts}
-        return Field(corners, goals, starts, name=name, **kinds)
+        return Field(corners, goals, starts, roi_kinds=of_goals, start_kinds=of_starts, name=name)
 
 
 def _scattered(
