@@ -13,7 +13,7 @@ from baselines.cli import fields
 from baselines.cli.main import COMMANDS, main
 from mbn_marl import __version__
 from tests.baselines.conftest import Refusal
-from tests.support.terminal import MBN
+from tests.support.pages import MBN
 
 
 def missing(name: str) -> ModuleNotFoundError:
