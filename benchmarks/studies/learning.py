@@ -28,7 +28,7 @@ class Plan(BaseModel):
 
     fields: tuple[str, ...] = tuple(catalogue_names())
     tier: str | None = None  # of random fields
-    seeds: tuple[int, ...]  # 210 and up, where nobody looked
+    seeds: tuple[int, ...]  # 220 and up, where nobody looked
     steps: int = STEPS
     evaluate_every: int = 65_536
     variants: dict[str, dict[str, Any]]  # the values of ``Variant``, by label
