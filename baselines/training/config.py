@@ -174,15 +174,21 @@ class Hyperparameters(pydantic.BaseModel):
 Model = TypeVar("Model", bound=pydantic.BaseModel)
 
 
-def read_blocks(path: Path) -> dict[str, Any]:
+def read_yaml(path: Path) -> dict[str, Any]:
     try:
-        data = path.read_bytes()
-        blocks = parse_yaml(data, str(path))
+        content = parse_yaml(path.read_bytes(), str(path))
     except FieldError as error:
         raise ConfigError(str(path), error.problems) from None
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error}"]) from None
-    if not isinstance(blocks, dict) or not all(isinstance(one, dict) for one in blocks.values()):
+    if not isinstance(content, dict):
+        raise ConfigError(str(path), ["must be a mapping"])
+    return content
+
+
+def read_blocks(path: Path) -> dict[str, Any]:
+    blocks = read_yaml(path)
+    if not all(isinstance(one, dict) for one in blocks.values()):
         raise ConfigError(str(path), ["must be a mapping from names of blocks to mappings"])
     return blocks
 

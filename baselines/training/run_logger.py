@@ -110,20 +110,17 @@ def find_wandb() -> ModuleType:
 class EpisodeWindow:
     # Their mean is optimistic, since stuck worlds finish rarely: results are of fresh evaluations.
     def __init__(self) -> None:
-        self._returns: list[float] = []
-        self._successes: list[float] = []
+        self._episodes: list[tuple[float, float]] = []
 
     def add(self, returns: Iterable[float], successes: Iterable[float]) -> None:
-        self._returns += map(float, returns)
-        self._successes += map(float, successes)
+        self._episodes += zip(returns, successes, strict=True)
 
     def pop(self) -> dict[str, float]:
-        count, returns = float(len(self._returns)), np.asarray(self._returns or [np.nan])
-        rate = float(np.mean(self._successes or [np.nan]))
-        self._returns, self._successes = [], []
+        count, some = float(len(self._episodes)), self._episodes or [(np.nan, np.nan)]
+        (returns, successes), self._episodes = np.array(some, float).T, []
         names = ("mean", "std", "min", "max")
         row = {f"return_{name}": float(getattr(returns, name)()) for name in names}
-        return {"episodes": count, **row, "success_rate": rate}
+        return {"episodes": count, **row, "success_rate": float(successes.mean())}
 
 
 class Recorder:

@@ -30,8 +30,8 @@ from baselines.training.run_logger import Report
 from baselines.training.train import notes, prepare, train
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
+from tests.support.pages import MBN
 from tests.support.runs import STAGES, TinyRuns, interrupted, recorded, same_policies, small_config
-from tests.support.terminal import MBN
 
 pytestmark = pytest.mark.slow
 
