@@ -18,18 +18,16 @@ from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, load_field
 from mbn_marl.planning.greedy import Greedy
 from mbn_marl.planning.legs import NEVER, TooManySetsError, possible_sets, proved_legs
-from mbn_marl.planning.motion import coordinate, meet
+from mbn_marl.planning.motion import coordinate
 from mbn_marl.planning.orders import OutOfTimeError, UndecidedError
 from mbn_marl.planning.partition import FEW_ROIS, least_makespan
 from mbn_marl.planning.problem import Floats, Problem, make_problem
 from mbn_marl.planning.replay import Playback, Player
 from mbn_marl.planning.team import Team, make_guide
-from mbn_marl.planning.waiting import wait
+from mbn_marl.planning.waiting import PARTITIONS, wait
 
 GREEDY_SHARE, BOUND_SHARE = 0.5, 0.8
 """Shares of the time limit after which the greedy plan and the bound are abandoned."""
-PARTITIONS = 6
-"""Partitions of the ROIs that are tried at one makespan."""
 
 
 class UnsolvableError(MbnError):
@@ -127,8 +125,9 @@ def plan(
         team = prove(_hardest(part), clock + BOUND_SHARE * time_limit)
     else:
         for guide in _guides(part, team, clock + time_limit):
-            most = problem.config.max_steps if best is None else len(best.actions) - 1
-            best = _search(part, player, guide, team.bound, most, guide.deadline) or best
+            for search in (_search,) if problem.convex else (wait, _search):
+                most = problem.config.max_steps if best is None else len(best.actions) - 1
+                best = search(part, player, guide, team.bound, most, guide.deadline) or best
     nothing = np.zeros((0, problem.n, 2), np.float32)
     return Plan(
         field=problem.field,
@@ -236,29 +235,21 @@ def _guides(problem: Problem, team: Team, deadline: float) -> list[Team]:
 def _search(
     problem: Problem, player: Player, guide: Team, bound: int, most: int, deadline: float
 ) -> Playback | None:
-    best, steps, tried = None, bound, False
-    while steps <= most and problem.clock(0) <= deadline:
-        waiting = not problem.convex and not tried
+    for steps in range(bound, most + 1):
+        if problem.clock(0) > deadline:
+            break
         try:
             for routes in itertools.islice(guide.solutions(steps), PARTITIONS):
-                if waiting and meet(problem, routes, steps):
-                    waited = wait(problem, player, guide, routes, most, deadline)
-                    if waited is not None:
-                        best, most = waited, len(waited.actions) - 1
-                    if steps > most:
-                        return best
-                tried = True
                 playback = coordinate(problem, player.verify, steps, routes, deadline)
                 if playback is not None:
                     return playback
                 if problem.clock(0) > deadline:
-                    return best
+                    return None
         except UndecidedError:
-            pass
+            continue
         except OutOfTimeError:
-            return best
-        steps += 1
-    return best
+            return None
+    return None
 
 
 def plan_greedily(problem: Problem, player: Player, deadline: float) -> Playback | None:

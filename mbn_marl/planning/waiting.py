@@ -9,17 +9,20 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 import shapely
 
-from mbn_marl.planning.motion import PAIR_ROOM, coordinate
-from mbn_marl.planning.orders import Visits
+from mbn_marl.planning.motion import PAIR_ROOM, coordinate, meet
+from mbn_marl.planning.orders import OutOfTimeError, Visits
 from mbn_marl.planning.problem import Floats, Problem
 from mbn_marl.planning.replay import Playback, Player
 from mbn_marl.planning.roadmap import moved_into
 from mbn_marl.planning.team import Route, Team
 
+PARTITIONS = 6
+"""Partitions of the ROIs that are tried at one makespan."""
 ORDERS = 1000
 """Orders of the robots that are tried for one partition of the ROIs."""
 PACES = (1.0, 1.03, 1.06, 1.12, 1.25, 1.5)
@@ -153,6 +156,28 @@ def _paced(route: Route, way: Sequence[int], path: Floats, before: int, steps: i
 
 
 def wait(
+    problem: Problem, player: Player, guide: Team, bound: int, most: int, deadline: float
+) -> Playback | None:
+    """Return a verified plan of at most ``most`` steps in which robots wait for each other.
+
+    It is ``None`` if none was found, or if the first routes keep the robots apart without waits.
+    """
+    best = None
+    with suppress(OutOfTimeError):
+        for steps in range(bound, most + 1):
+            tried = False
+            for routes in itertools.islice(guide.solutions(steps), PARTITIONS):
+                if steps > most or not meet(problem, routes, steps):
+                    return best
+                if found := take_turns(problem, player, guide, routes, most, deadline):
+                    best, most = found, len(found.actions) - 1
+                tried = True
+            if tried:
+                break
+    return best
+
+
+def take_turns(
     problem: Problem,
     player: Player,
     team: Team,
@@ -160,7 +185,7 @@ def wait(
     most: int,
     deadline: float,
 ) -> Playback | None:
-    """Return a verified plan of at most ``most`` steps in which robots wait for each other."""
+    """Return a verified plan of at most ``most`` steps through the ROIs of the routes."""
     quick, tries = quickest(team, routes), []
     both = zip(problem.starts, quick, strict=True)
     paths = [np.concatenate([start[None], route.visits.path]) for start, route in both]
