@@ -24,7 +24,7 @@ from mbn_marl.field import Field, FieldSampler, load_fields
 # Learners share a budget as long as each has so many env-steps.
 LEAST_STEPS = 655_360
 # The hyperparameters that decide which networks there are.
-NETWORK = ("actor", "network", "hidden", "sharing")
+NETWORK = ("actor", "network", "hidden", "sharing", "memory")
 
 
 def train(
@@ -196,7 +196,8 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
         seen = acts_on(source.fields, trained)
         here = acts_on(task.field, environment)
         compared = {name: (seen.get(name), here.get(name)) for name in {**seen, **here}}
-    theirs = {"network": "mlp", **config["hyperparameters"]}  # the zoo's first have no other
+    # The zoo's first have no other network, and no memory.
+    theirs = {"network": "mlp", "memory": 0, **config["hyperparameters"]}
     compared |= {f"hyperparameters.{name}": (theirs.get(name), asked[name]) for name in asked}
     problems = [
         f"{name}: the policy's run has {theirs}, this run {ours}"
