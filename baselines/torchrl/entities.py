@@ -49,8 +49,8 @@ class Tokens:
         parts = torch.split(rows, [own, robots, rois], -1)
         return (
             parts[0],
-            parts[1].unflatten(-1, (n - 1, len(self.robot))),
-            parts[2].unflatten(-1, (rois // len(self.roi), len(self.roi))),
+            parts[1].reshape(rows.shape[0], n - 1, len(self.robot)),
+            parts[2].reshape(rows.shape[0], rois // len(self.roi), len(self.roi)),
         )
 
     def wider(self, extras: int) -> Self:
@@ -358,7 +358,7 @@ class SetNetwork(nn.Module):
     def forward(self, rows: torch.Tensor, past: Past | None = None) -> torch.Tensor:
         some, present = _of_present(rows)
         flow, *frame = self.encoder(some, rows.shape[-2])
-        if past is not None:
+        if self.memory is not None and past is not None:
             parts = (_to_all(part, present, rows.shape[:-1]) for part in (flow, *frame))
             flow = self.memory(next(parts), past, *parts).flatten(0, -2)[present]
         if self._team:
@@ -408,12 +408,11 @@ class Several(nn.Module):
     _members: torch.Tensor
 
     def forward(self, rows: torch.Tensor, past: Past | None = None) -> torch.Tensor:
-        pasts, outputs = [], []
+        outputs, states = [], []
         for network, mine in zip(self.each, self._members, strict=True):
-            pasts.append(past and Past(past.first, past.begins))
-            outputs.append(network(rows * mine, pasts[-1]))
+            outputs.append(network(rows * mine, past))
+            if past is not None:
+                states.append((past.before * mine, past.after * mine))
         if past is not None:
-            parts = [*zip(pasts, self._members, strict=True)]
-            past.before = sum(one.before * mine for one, mine in parts)
-            past.after = sum(one.after * mine for one, mine in parts)
+            past.before, past.after = (torch.stack(s).sum(0) for s in zip(*states, strict=True))
         return torch.stack(outputs).sum(0)

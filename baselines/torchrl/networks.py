@@ -60,8 +60,9 @@ class TeamShape:
         return each.get(self.sharing, (0,) * self.n_robots)
 
     @property
-    def any_team(self) -> bool:
-        return self.tokens is not None and max(self.of) == 0 and not self.extras
+    def of_one_team(self) -> bool:
+        """Whether networks over sets are of a team of this size alone."""
+        return self.tokens is not None and (max(self.of) > 0 or len(self.extras) > 0)
 
 
 class TeamMLP(Stacked):
@@ -183,10 +184,12 @@ class TeamModule(TensorDictModuleBase):
     def __init__(self, shape: TeamShape, out_keys: list[Any]) -> None:
         super().__init__()
         self.shape, self.past = shape, None
-        self.in_keys, self.out_keys = [Key.NORMALIZED], out_keys
+        self.in_keys: list[Any] = [Key.NORMALIZED]
+        self.out_keys = out_keys
         self.before, self.first = f"{self.name}_before", f"{self.name}_first"
         if shape.memory:
-            self.in_keys, self.out_keys = [*self.in_keys, Key.STEPS], [*out_keys, self.before]
+            self.in_keys.append(Key.STEPS)
+            self.out_keys.append(self.before)
         extras = torch.tensor(shape.extras)
         if shape.extras and shape.tokens is None:
             extras = torch.cat([extras, extras[others(shape.n_robots)].flatten(1)], 1)

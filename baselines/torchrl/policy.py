@@ -65,7 +65,7 @@ class TeamPolicy(TrainedPolicy):
 
     def fit(self, engine: BatchEngine) -> Policy:
         shape = self.network.shape
-        if engine.n_robots != shape.n_robots and not shape.any_team:
+        if shape.of_one_team and engine.n_robots != shape.n_robots:
             problem = f"robots: {engine.n_robots}; allowed with sharing {shape.sharing}: "
             raise ConfigError("policy", [f"{problem}{shape.n_robots}, those of its training"])
         joint = shape.actor == "centralized" and is_shared(engine.config, engine.arena)

@@ -158,8 +158,7 @@ class Trainer:
     def _shape(self, sharing: Sharing, engine: BatchEngine) -> TeamShape:
         config, n = self.config, engine.n_robots
         shape = TeamShape(
-            *(engine.obs_size, n, config.hidden, sharing, config.actor),
-            **{"tokens": self.tokens, "memory": config.memory},
+            *(engine.obs_size, n, config.hidden, sharing, config.actor, self.tokens, config.memory)
         )
         if sharing == "groups":
             traits = traits_of(engine)

@@ -122,7 +122,7 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
     fields = load_fields(config.field)
     if isinstance(fields, FieldSampler):
         if getattr(hyperparameters, "network", None) != "entities":
-            allowed = "with setting G of mappo and ippo, or network=entities"
+            allowed = "with setting G, or network=entities"
             problem = f"field: {config.field} is random fields; allowed: {allowed}"
             raise ConfigError("training", [problem])
         # Runs with other seeds train on other fields.
