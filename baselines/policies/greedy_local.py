@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -33,13 +34,14 @@ class GreedyLocal(Policy):
     the earliest visit first. It does so again when its beliefs or the robots in sight change. It
     takes the first velocity from which it can brake inside the field and its buffered Voronoi cell
     (Zhou et al., 2017), whatever the others do. It observes ``lidar_local``; the map, without the
-    starts of other robots, is known.
+    starts of other robots, is known, and the kinds of all robots.
     """
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         config, arena = problem.config, np.array(problem.field.arena)
-        table = observation_table(config, problem.n, problem.m, problem.field.arena)
+        sizes, kinds = (problem.n, problem.m, problem.field.arena), bool(problem.field.roi_kinds)
+        table = observation_table(config, *sizes, kinds=kinds)
         at = {entry.name: entry.offset for entry in table}
         self._own = [at[name] for name in ("own_x", "own_y", "own_vx", "own_vy")]
         axes = ("dx", "dy", "dvx", "dvy")
@@ -52,6 +54,9 @@ class GreedyLocal(Policy):
         self._force = problem.forces.min(0)
         self._roadmap = None if problem.convex else clear_roadmap(problem, problem.rois[:0])
         shapely.prepare(problem.area)
+        self._robots = np.arange(problem.n)
+        # The ROIs that robots may visit, in the order in which each observes them.
+        self._mine = problem.mine[[[i, *np.delete(self._robots, i)] for i in self._robots]]
         self.reset()
 
     def reset(self, worlds: np.ndarray | None = None) -> None:
@@ -59,6 +64,11 @@ class GreedyLocal(Policy):
             self._target = np.zeros((0, 0), int)
         elif len(self._target):
             self._target[worlds], self._beliefs[worlds] = UNKNOWN, UNKNOWN
+
+    def of_robot(self, robot: int, robots: int) -> GreedyLocal:
+        one = deepcopy(self)
+        one._robots = np.array([robot])
+        return one
 
     def draws(self, *, deterministic: bool) -> bool:
         return False
@@ -89,26 +99,27 @@ class GreedyLocal(Policy):
         stale = np.flatnonzero((known != beliefs).any(1))
         known[stale] = beliefs[stale]
         if len(stale):
-            target[stale] = self._assigned(place[stale], others[stale], there[stale], left[stale])
+            able = left[stale, None] & self._mine[self._robots[stale % len(self._robots)]]
+            target[stale] = self._assigned(place[stale], others[stale], there[stale], able)
         return target
 
-    def _assigned(self, place: Floats, others: Floats, there: Flags, left: Flags) -> NDArray[Any]:
+    def _assigned(self, place: Floats, others: Floats, there: Flags, able: Flags) -> NDArray[Any]:
         """Return the first ROI of each row's own robot in its greedy assignment, or -1."""
-        rows, left, rois = np.arange(len(place)), left.copy(), self.problem.rois
+        rows, rois = np.arange(len(place)), self.problem.rois
         at = np.concatenate([place[:, None], others], 1)
         walked = np.where(np.concatenate([np.ones_like(there[:, :1]), there], 1), 0.0, np.inf)
         first = np.full(len(place), UNKNOWN)
-        for _ in range(left.shape[1]):
+        for _ in range(len(rois)):
             ways = np.linalg.norm(at[:, :, None] - rois, axis=-1) + walked[..., None]
-            ways[~np.broadcast_to(left[:, None], ways.shape)] = np.inf
-            robot, roi = np.divmod(ways.reshape(len(rows), -1).argmin(1), left.shape[1])
+            ways[~able] = np.inf
+            robot, roi = np.divmod(ways.reshape(len(rows), -1).argmin(1), len(rois))
             length = ways[rows, robot, roi]
             found = np.isfinite(length)
             mine = found & (robot == 0) & (first == UNKNOWN)
             first[mine] = roi[mine]
             at[rows[found], robot[found]] = rois[roi[found]]
             walked[rows[found], robot[found]] = length[found]
-            left[rows[found], roi[found]] = False
+            able[rows[found], :, roi[found]] = False
         return first
 
     def _wanted(self, place: Floats, speed: Floats, target: NDArray[Any]) -> Floats:

@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -32,11 +33,11 @@ from baselines.torchrl.networks import (
     ValueNetwork,
 )
 from baselines.torchrl.policy import TeamPolicy, is_shared
-from baselines.training.aids import RoiCurriculum, between
+from baselines.training.aids import STAGES, RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
 from mbn_marl.adapters.torchrl import NavigationEnv
-from mbn_marl.config import LIMITS, Dynamics, make_config
+from mbn_marl.config import LIMITS, Dynamics, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import FieldSampler
@@ -92,13 +93,16 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
         raise ConfigError("training", problems)
 
 
-def traits_of(engine: BatchEngine) -> tuple[tuple[float, ...], ...]:
-    """Return mass, force and speed limit of each robot over the usual, and its dynamics."""
-    config, n, usual = engine.config, engine.n_robots, make_config({})
-    limits = [[one / getattr(usual, name) for one in config.of_each(name, n)] for name in LIMITS]
-    kinds = get_args(Dynamics)
-    dynamics = [[float(one == kind) for kind in kinds] for one in config.of_each("dynamics", n)]
-    return tuple((*numbers, *flags) for *numbers, flags in zip(*limits, dynamics, strict=True))
+def traits_of(config: NavigationConfig, n: int, kinds: Sequence[int]) -> list[tuple[float, ...]]:
+    """Return of each robot mass, force and speed limit over the usual, its dynamics and kind."""
+    usual, traits = make_config({}), []
+    parts = (config.of_each(name, n) for name in (*LIMITS, "dynamics"))
+    for *limits, dynamics, kind in zip(*parts, kinds or (0,) * n, strict=False):
+        numbers = [one / getattr(usual, name) for one, name in zip(limits, LIMITS, strict=True)]
+        flags = [dynamics == one for one in get_args(Dynamics)]
+        flags += [kind == one for one in sorted(set(kinds))]
+        traits.append((*numbers, *map(float, flags)))
+    return traits
 
 
 def budget(task: Task, hyperparameters: MultiAgentPPOConfig) -> Budget:
@@ -115,6 +119,8 @@ class Trainer:
         torch.manual_seed(task.config.seed)
         self.task, self.config, self.recorder = task, config, recorder
         self.curriculum = RoiCurriculum(config.roi_radius, window=config.num_worlds)
+        # The env-steps at which ROIs last were too large.
+        self.grown = 0
         env = self._make_env()
         engine, sets = env.engine, config.network == "entities"
         self.tokens = Tokens.of(engine.observation_table) if sets else None
@@ -160,13 +166,15 @@ class Trainer:
         shape = TeamShape(
             *(engine.obs_size, n, config.hidden, sharing, config.actor, self.tokens, config.memory)
         )
-        if sharing == "groups":
-            traits = traits_of(engine)
-            kinds = [*dict.fromkeys(traits)]
-            return replace(shape, groups=tuple(map(kinds.index, traits)))
         if sharing == "full+id":
-            return replace(shape, extras=tuple(tuple(row) for row in torch.eye(n).tolist()))
-        return replace(shape, extras=traits_of(engine)) if sharing == "full+traits" else shape
+            return replace(shape, extras=tuple(map(tuple, torch.eye(n).tolist())))
+        if sharing in ("none", "full"):
+            return shape
+        traits = traits_of(engine.config, n, getattr(self.task.field, "start_kinds", ()))
+        if sharing == "full+traits":
+            return replace(shape, extras=tuple(traits))
+        alike = [*dict.fromkeys(traits)]
+        return replace(shape, groups=tuple(map(alike.index, traits)))
 
     def _make_env(self, **changed: Any) -> NavigationEnv:
         config, worlds = self.task.config, self.config.num_worlds
@@ -206,11 +214,13 @@ class Trainer:
             theirs: Any = load_trained(open_run(str(source)))
             self.network.load_state_dict(theirs.network.state_dict())
         self.recorder.start()
-        while env_steps < self.task.config.steps:
+        while self.recorder.goes_on(env_steps, begun=self.curriculum.begun):
             progress = env_steps / self.task.config.steps
             for group in self.optimizer.param_groups:
                 group["lr"] = between(config.learning_rate, progress)
-            self.network.log_std.data.clamp_(max=config.cap_at(progress))
+            if self.curriculum.radius > 1.0:
+                self.grown = env_steps
+            self.network.log_std.data.clamp_(max=config.cap_at(self._narrowing(env_steps)))
             started = time.perf_counter()
             rollout = next(self.rollouts).copy()
             collected = time.perf_counter()
@@ -237,6 +247,12 @@ class Trainer:
                 self.recorder.save_checkpoint(env_steps, policy, save)
         self.network.amplify(config.final_gain)
         self.recorder.finish(env_steps, policy)
+
+    def _narrowing(self, env_steps: int) -> float:
+        # The first half of the way follows the size of the ROIs, so that a team whose ROIs grow
+        # again explores; the second half follows the time.
+        stages = self.curriculum.stage / STAGES / 2
+        return stages + (env_steps - self.grown) / self.task.config.steps
 
     @torch.no_grad()
     def _estimate(self, rollout: TensorDictBase) -> None:
@@ -319,7 +335,8 @@ class Trainer:
         if self.config.memory:
             states = {one.name: one.past for one in (self.network, self.critic)}
             tensors.write_tensors(folder / MEMORIES, states)
-        counters = {"env_steps": env_steps, "curriculum": asdict(self.curriculum)}
+        counters: dict[str, Any] = {"env_steps": env_steps, "grown": self.grown}
+        counters["curriculum"] = asdict(self.curriculum)
         write_json(folder / COUNTERS, {**counters, "generators": tensors.save_generators()})
 
     def _restore(self, folder: Path) -> int:
@@ -330,6 +347,7 @@ class Trainer:
             self.optimizer.load_state_dict(tensors.with_moments(state, moments))
             counters = read_json(folder / COUNTERS)
             self.curriculum = TypeAdapter(RoiCurriculum).validate_python(counters["curriculum"])
+            self.grown = int(counters["grown"])
             env = self._make_env()
             env.load_state(read_arrays(folder / WORLDS))
             self._collect_from(env)
