@@ -11,7 +11,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from baselines.policies.policy import Alone
+from baselines.policies.policy import Alone, Policy
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.memory import Past
 from baselines.torchrl.networks import GaussianPolicy, JointNormal, Key, TeamShape, ValueNetwork
@@ -20,24 +20,20 @@ from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
 
 ENGINE = BatchEngine("field_03", 1, threads=1, observation="entities")
-TOKENS = Tokens.of(ENGINE.observation_table)
-SETS: dict[str, Any] = {"obs_size": ENGINE.obs_size, "tokens": TOKENS}
-TRAITS = ((1.0, 0.5), (1.0, 2.0), (1.0, 0.5))
+SETS = {"obs_size": ENGINE.obs_size, "tokens": Tokens.of(ENGINE.observation_table)}
+IDS = tuple(map(tuple, torch.eye(3).tolist()))
 SHAPES: dict[str, dict[str, Any]] = {
     "none": {"sharing": "none"},
     "groups": {"sharing": "groups", "groups": (0, 1, 0)},
     "full": {"sharing": "full"},
-    "full+id": {
-        "sharing": "full+id",
-        "extras": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    },
-    "full+traits": {"sharing": "full+traits", "extras": TRAITS},
+    "full+id": {"sharing": "full+id", "extras": IDS},
+    "full+traits": {"sharing": "full+traits", "extras": ((1.0, 0.5), (1.0, 2.0), (1.0, 0.5))},
     "joint": {"sharing": "full", "actor": "centralized"},
 }
 
 
 def made(name: str, *, sets: bool, memory: int = 0) -> TeamShape:
-    size = SETS if sets else {"obs_size": 5}
+    size: dict[str, Any] = SETS if sets else {"obs_size": 5}
     return TeamShape(**size, n_robots=3, hidden=(8, 8), memory=memory, **SHAPES[name])
 
 
@@ -57,17 +53,16 @@ def test_a_memory_learns_what_rows_no_longer_show_and_forgets_at_a_new_episode()
     network = GaussianPolicy(TeamShape(1, 2, (8,), "none", memory=8), 0.0)
     shown = torch.zeros(64, 4, 2, 1)
     shown[:, 0] = torch.randn(64, 2, 1).sign()
-    begins = torch.zeros(64, 4, dtype=torch.bool)
-    first = network.nothing(shown)
+    past = Past(network.nothing(shown), torch.zeros(64, 4))
     optimizer = torch.optim.Adam(network.parameters(), lr=0.03)
     for _ in range(120):
-        loss = (network.means(shown, Past(first, begins))[:, -1] - shown[:, 0]).square().mean()
+        loss = (network.means(shown, past)[:, -1] - shown[:, 0]).square().mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
     assert loss < 0.05  # all last rows are equal: without a memory it is 1 at best
-    begins[:, 2] = True
-    assert (network.means(shown, Past(first, begins))[:, -1].std(0) < 1e-6).all()
+    past.begins[:, 2] = 1.0
+    assert (network.means(shown, past)[:, -1].std(0) < 1e-6).all()
 
 
 CASES = [(name, sets) for name in SHAPES for sets in (False, True)]
@@ -85,14 +80,8 @@ def test_a_saved_policy_goes_through_an_episode_as_an_update_through_its_chunk(
     with torch.no_grad():
         means = network.means(seen, past).numpy()
     TeamPolicy(network).save(tmp_path)
-    team = load_policy(tmp_path)
-    policies = [team]
-    if name == "joint":
-        with pytest.raises(ConfigError, match="actor: "):
-            team.of_robot(0, 3)
-    else:
-        policies.append(Alone(load_policy(tmp_path), 3))
-    for policy in policies:
+    team: Policy = load_policy(tmp_path)
+    for policy in [team] if name == "joint" else [team, Alone(load_policy(tmp_path), 3)]:
         for step in range(6):
             policy.reset(begins[:, step].numpy())
             acts = policy.act(seen[:, step].numpy(), deterministic=True)
@@ -108,9 +97,9 @@ def test_a_saved_policy_goes_through_an_episode_as_an_update_through_its_chunk(
 @pytest.mark.parametrize(("name", "sets"), [case for case in CASES if case[0] != "joint"])
 def test_sharing_decides_who_acts_alike_on_equal_rows(name: str, sets: bool) -> None:
     shape = made(name, sets=sets)
-    critic = ValueNetwork(shape, "independent")
     seen = rows(5, 1, shape.obs_size).expand(5, 3, -1)
-    values = critic(TensorDict({Key.NORMALIZED: seen}, (5,)))[Key.VALUE]
+    td = TensorDict({Key.NORMALIZED: seen}, (5,))
+    values = ValueNetwork(shape, "independent")(td)[Key.VALUE]
     for found in (loud(shape).means(seen), values):
         alike = [bool((found[:, 0] - found[:, i]).abs().max() < 1e-6) for i in (1, 2)]
         assert alike == {"full": [True, True], "groups": [False, True]}.get(name, [False, False])
@@ -119,21 +108,17 @@ def test_sharing_decides_who_acts_alike_on_equal_rows(name: str, sets: bool) -> 
         TeamPolicy(loud(shape)).fit(pair)
 
 
-def test_a_joint_actor_over_sets_is_of_any_team_in_any_order_and_one_draw() -> None:
+def test_a_joint_actor_over_sets_is_of_all_robots_in_any_order_and_one_draw() -> None:
     actor, seen = loud(made("joint", sets=True)), rows(5, 3, ENGINE.obs_size)
-    order, actions = [2, 0, 1], actor.means(seen)
-    torch.testing.assert_close(actor.means(seen[:, order]), actions[:, order])
+    actions = actor.means(seen)
+    torch.testing.assert_close(actor.means(seen[:, [2, 0, 1]]), actions[:, [2, 0, 1]])
     other = torch.cat([seen[:, :2], rows(5, 1, ENGINE.obs_size, seed=1)], 1)
     assert ((actor.means(other) - actions).abs().amax((0, 2)) > 1e-5).all()
-    own, width = len(TOKENS.own), len(TOKENS.robot)
-    pair = torch.cat([seen[:, :2, : own + width], seen[:, :2, own + 2 * width :]], -1)
-    assert actor.means(pair).shape == (5, 2, 2)
     works = torch.tensor([True, False, True])
     scale, value = torch.full((5, 3, 2), 0.5), rows(5, 3, 2, seed=2)
     drawn = JointNormal(actions, scale, works.expand(5, 3))
     working = JointNormal(actions[:, works], scale[:, works])
     torch.testing.assert_close(drawn.log_prob(value), working.log_prob(value[:, works]))
-    assert drawn.log_prob(value).shape == (5, 1)
     critic = ValueNetwork(made("joint", sets=True), "centralized")
     assert critic(TensorDict({Key.NORMALIZED: seen}, (5,)))[Key.VALUE].shape == (5, 1, 1)
 
@@ -147,5 +132,5 @@ def test_a_critic_of_the_state_reads_what_is_visited_flag_by_flag() -> None:
     before = critic(seen)[Key.VALUE].clone()
     seen[Key.NORMALIZED] = rows(2, 3, 5, seed=1)
     assert torch.equal(critic(seen)[Key.VALUE], before) and before.shape == (2, 3, 1)
-    seen[Key.STATE] = state + torch.tensor([0.0] * 12 + [1.0])
+    seen[Key.STATE] = rows(2, 13, seed=1)
     assert not torch.equal(critic(seen)[Key.VALUE], before)
