@@ -33,11 +33,11 @@ class GreedyLocal(Policy):
     the earliest visit first. It does so again when its beliefs or the robots in sight change. It
     takes the first velocity from which it can brake inside the field and its buffered Voronoi cell
     (Zhou et al., 2017), whatever the others do. It observes ``lidar_local``; the map, without the
-    starts of other robots, is known.
+    starts of other robots, is known. A ``blind`` one ignores the other robots.
     """
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
+    def __init__(self, problem: Problem, *, blind: bool = False) -> None:
+        self.problem, self._blind = problem, blind
         config, arena = problem.config, np.array(problem.field.arena)
         table = observation_table(config, problem.n, problem.m, problem.field.arena)
         at = {entry.name: entry.offset for entry in table}
@@ -73,7 +73,7 @@ class GreedyLocal(Policy):
         place = self._centre + rows[:, self._own[:2]] * self._half
         speed = rows[:, self._own[2:]] * self._top
         offsets = rows[:, self._others]
-        there: Flags = (offsets != 0.0).any(-1)
+        there: Flags = (offsets != 0.0).any(-1) & (not self._blind)
         others = place[:, None] + offsets[..., :2] * self._arena
         left = rows[:, self._visited] < 0.5
         target = self._targets(place, others, there, left)
