@@ -177,7 +177,8 @@ def test_each_instance_is_evaluated_with_its_own_seed(source: str, tmp_path: Pat
         (Policy(), {"observation": "lidar_local"}, "own sight"),
         (RandomPolicy(), {}, "-"),
         (Policy(), {"observation": "local", "knowledge": "own"}, "own"),
-        (Shielded(Policy()), {"observation": "local", "knowledge": "own"}, "state"),
+        (Shielded(Policy()), {"observation": "local", "knowledge": "own"}, "own"),
+        (Shielded(Policy()), {"observation": "local"}, "state"),
         (Shielded(RandomPolicy()), {}, "state"),
     ],
 )
