@@ -98,7 +98,7 @@ def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Poli
     if name in ("greedy-local", "blind"):
         from baselines.policies.greedy_local import GreedyLocal
 
-        return GreedyLocal(problem, blind=name == "blind")
+        return GreedyLocal(problem, config, blind=name == "blind")
     if name == "greedy":
         return ControllerPolicy(problem, lambda _: Greedy(problem))
     hidden = UNSEEN if name == "replan" else ()

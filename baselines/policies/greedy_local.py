@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from baselines.policies.braking import Braking
 from baselines.policies.policy import Policy
+from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.mdp.observations import observation_table
 from mbn_marl.planning.greedy import STIRS, clear_roadmap
 from mbn_marl.planning.problem import Floats, Problem
+from mbn_marl.planning.roadmap import Roadmap, moved_into
 from mbn_marl.planning.shield import Flags
 
 # Nothing is known before the first step of an episode.
@@ -24,17 +28,26 @@ class GreedyLocal(Braking, Policy):
     A robot assigns the ROIs that it believes to be left to itself and the robots that it observes,
     the earliest visit first. It does so again when its beliefs or the robots in sight change. It
     observes ``lidar_local``; the map, without the starts of other robots, is known. A ``blind`` one
-    ignores the other robots.
+    ignores the other robots. If ROIs are hidden, robots without any go to the nearest part of the
+    field that they have not seen, nor, as far as they know, those that tell them.
     """
 
-    def __init__(self, problem: Problem, *, blind: bool = False) -> None:
+    def __init__(
+        self, problem: Problem, settings: NavigationConfig, *, blind: bool = False
+    ) -> None:
         config, arena = problem.config, problem.field.arena
         table = observation_table(config, problem.n, problem.m, arena)
         super().__init__(problem, table)
-        self._blind = blind
+        self._blind, self._heard = blind, settings.comm_radius
+        self._parts, self._near = np.zeros((0, 2)), np.zeros(0)
+        if settings.hidden_rois:
+            self._parts, self._near = parts(problem, min(config.sensing_radius, max(arena)))
+        self._places = np.concatenate([problem.rois, self._parts])
         at = {entry.name: entry.offset for entry in table}
         self._visited = [at[f"roi_{j}_visited"] for j in range(problem.m)]
-        self._roadmap = None if problem.convex else clear_roadmap(problem, problem.rois[:0])
+        self._roadmap: Roadmap | None = None
+        if not problem.convex:
+            self._roadmap = clear_roadmap(replace(problem, rois=self._places), problem.rois[:0])
         self.reset()
 
     def reset(self, worlds: np.ndarray | None = None) -> None:
@@ -42,6 +55,7 @@ class GreedyLocal(Braking, Policy):
             self._target = np.zeros((0, 0), int)
         elif len(self._target):
             self._target[worlds], self._beliefs[worlds] = UNKNOWN, UNKNOWN
+            self._swept[worlds] = False
 
     def draws(self, *, deterministic: bool) -> bool:
         return False
@@ -51,6 +65,7 @@ class GreedyLocal(Braking, Policy):
         if self._target.shape != seen.shape[:2]:
             self._target = np.full(seen.shape[:2], UNKNOWN)
             self._beliefs = np.full((*seen.shape[:2], self.problem.m + self.problem.n - 1), UNKNOWN)
+            self._swept = np.zeros((*seen.shape[:2], len(self._parts)), bool)
             self._steps = 0
         rows = seen.reshape(-1, seen.shape[-1]).astype(float)
         place, speed, others, there = self._read(rows)
@@ -70,7 +85,25 @@ class GreedyLocal(Braking, Policy):
         known[stale] = beliefs[stale]
         if len(stale):
             target[stale] = self._assigned(place[stale], others[stale], there[stale], left[stale])
+        if len(self._parts):
+            self._sweep(place, others, there, target)
         return target
+
+    def _sweep(self, place: Floats, others: Floats, there: Flags, target: NDArray[Any]) -> None:
+        """Note the parts that are seen; send robots without an ROI to one that is not."""
+        swept, m = self._swept.reshape(len(place), -1), self.problem.m
+        own = np.linalg.norm(self._parts - place[:, None], axis=-1)
+        far = np.linalg.norm(self._parts - others[:, :, None], axis=-1)
+        heard = there & (np.linalg.norm(others - place[:, None], axis=-1) <= self._heard)
+        swept |= (own <= self._near) | ((far <= self._near) & heard[..., None]).any(1)
+        swept[swept.all(1)] = False  # what was there has not been heard of: once more
+        reached = (target >= m) & swept[np.arange(len(place)), np.maximum(target - m, 0)]
+        target[reached] = UNKNOWN
+        idle = target == UNKNOWN
+        # A part that another robot in sight is nearer to is the last choice.
+        taken = ((far < own[:, None]) & there[..., None]).any(1)
+        ways = own + np.where(taken, np.linalg.norm(self._arena), 0.0)
+        target[idle] = m + np.where(swept, np.inf, ways).argmin(1)[idle]
 
     def _assigned(self, place: Floats, others: Floats, there: Flags, left: Flags) -> NDArray[Any]:
         """Return the first ROI of each row's own robot in its greedy assignment, or -1."""
@@ -89,12 +122,14 @@ class GreedyLocal(Braking, Policy):
             at[rows[found], robot[found]] = rois[roi[found]]
             walked[rows[found], robot[found]] = length[found]
             left[rows[found], roi[found]] = False
+            if ((first != UNKNOWN) | ~found).all():
+                break
         return first
 
     def _wanted(self, place: Floats, speed: Floats, target: NDArray[Any]) -> Floats:
         """Return the highest velocities toward the targets from which robots can stop there."""
         goes, tau = target != UNKNOWN, self.problem.config.tau
-        goal = self.problem.rois[target]
+        goal = self._places[target]
         if self._roadmap is not None:
             for row in np.flatnonzero(goes):
                 goal[row] = self._roadmap.toward(place[row], int(target[row]))
@@ -107,3 +142,21 @@ class GreedyLocal(Braking, Policy):
         stir = STIRS[self._steps % len(STIRS)] * force * rests
         wanted: Floats = np.where(goes[:, None], offset * np.minimum(scale, 1.0), stir)
         return wanted
+
+
+def parts(problem: Problem, radius: float) -> tuple[Floats, Floats]:
+    """Return the middles (k, 2) of parts of the field, and within what (k,) robots see all of one.
+
+    Robots see as far as ``radius``, units.
+    """
+    side = radius / 4.0
+    corners, half = problem.field.vertices, side / np.sqrt(2.0)
+    lines = [
+        np.arange(low + side / 2.0, high + side / 2.0, side)
+        for low, high in zip(corners.min(0), corners.max(0), strict=True)
+    ]
+    grid = np.stack(np.meshgrid(*lines), -1).reshape(-1, 2)
+    squares = shapely.box(*(grid - side / 2.0).T, *(grid + side / 2.0).T)
+    grid = grid[shapely.intersects(problem.area, squares)]
+    middles = moved_into(problem.area, grid)
+    return middles, radius - half - np.linalg.norm(middles - grid, axis=-1)

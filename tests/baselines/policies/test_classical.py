@@ -57,10 +57,11 @@ LOCAL: dict[str, Any] = {"observation": "lidar_local", "knowledge": "own", "comm
 
 
 @pytest.mark.parametrize("field", ["field_03", "field_09"])  # field_09 has corners to go round
-def test_greedy_local_acts_on_each_robots_row_alone(field: str) -> None:
-    place = load_field(field)
-    team, alone = (make_classical("greedy-local", place, LOCAL) for _ in range(2))
-    engine = BatchEngine(place, 2, **LOCAL)
+@pytest.mark.parametrize("change", [{}, {"hidden_rois": True, "sensing_radius": 50.0}], ids=str)
+def test_greedy_local_acts_on_each_robots_row_alone(field: str, change: dict[str, Any]) -> None:
+    place, settings = load_field(field), {**LOCAL, **change}
+    team, alone = (make_classical("greedy-local", place, settings) for _ in range(2))
+    engine = BatchEngine(place, 2, **settings)
     observations, robots = engine.reset(), alone.fit(engine)
     assert isinstance(robots, Alone)
     ends = 0
