@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 
 from baselines.compare.benchmark import PRICES, prices
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.intervals import RETURN_THRESHOLD
+from baselines.evaluation.intervals import RETURN_THRESHOLD, Interval
 from baselines.runs.files import read_json, read_text, write_text
 from mbn_marl.field import splits
 
@@ -75,16 +75,19 @@ def searched(folder: Path) -> TextTable:
         rows = DataFrame([{**row, **row["mean"]} for row in instances])
         means = rows.groupby("comm_radius").success_rate.mean()
         found = prices(instances)
-        known = [found.get(name) for name in PRICES]
-        words = [
-            "-" if one is None else f"{one.mean:.2f} ({one.low:.2f}..{one.high:.2f})"
-            for one in known
-        ]
+        words = [_with_ends(found.get(name)) for name in PRICES]
         shares = " / ".join(f"{means[name]:.0%}" for name in splits.RADII)
         sees = ", ".join(rows.information.unique())
         lines.append((-means.sum(), words[0], path.stem, sees, shares, *words))
     headings = ("policy", "information", f"success at {' / '.join(splits.RADII)}", *PRICES)
     return TextTable("", headings, [line[2:] for line in sorted(lines)], words=2)
+
+
+def _with_ends(price: Interval | None) -> str:
+    if price is None:
+        return "-"
+    ends = "" if price.low in (None, price.high) else f" ({price.low:.2f}..{price.high:.2f})"
+    return f"{price.mean:.2f}{ends}"
 
 
 def rows_of(study: Path) -> DataFrame:
