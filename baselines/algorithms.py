@@ -31,12 +31,6 @@ SETTINGS: Mapping[Setting, Protocol] = {
     "J": Protocol("as N, with the observations and training aids of ppo-joint"),
     "G": Protocol("one policy for every field: a network over sets, shaped reward"),
 }
-# Env-steps a second of one core with one world, as docs/grid.md measured them.
-SPEEDS = {"a2c": 835.0, "ppo": 1039.0, "trpo": 1084.0, "ars": 4229.0, "crossq": 10.0, "tqc": 50.0}
-# Those of PPO's relatives with 128 worlds, from the demo's runs.
-SIDE_BY_SIDE = 9000.0
-# Algorithms that more worlds make no faster.
-ONE_BY_ONE = ("crossq", "tqc", "ars")
 
 
 @dataclass(frozen=True)
@@ -47,11 +41,6 @@ class Algorithm:
     # The package of baselines that trains it: sb3 or torchrl.
     package: str
     settings: tuple[Setting, ...] = ("N",)
-
-    def speed(self, setting: Setting) -> float:
-        """About how many env-steps a second one core trains, evaluations excluded."""
-        alone = setting in ("A", "B", "C") or self.name in ONE_BY_ONE
-        return SPEEDS[self.name] if alone else SIDE_BY_SIDE
 
     def _module(self, name: str) -> ModuleType:
         return import_module(f"baselines.{self.package}.{name}")

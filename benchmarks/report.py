@@ -9,10 +9,9 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
-from tyro.conf import arg
-
+from baselines.cli.options import OptionalOutput, Writes
 from baselines.compare.text_table import TextTable
 from baselines.runs.files import claim_folder, versions, write_json
 
@@ -63,15 +62,13 @@ class Findings:
 
 
 @dataclass(frozen=True)
-class Benchmark:
+class Benchmark(Writes):
     """A benchmark that writes a folder; the fields are its options."""
 
     name: ClassVar[str]
 
-    out: Annotated[Path | None, arg(aliases=["-o"])] = None
+    out: OptionalOutput = None
     """The folder to write; by default runs/bench-SUBJECT."""
-    force: bool = False
-    """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     @property
     def folder(self) -> Path:

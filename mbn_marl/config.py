@@ -207,19 +207,12 @@ class Failures(Checked):
     """The probability that a robot fails in a step, in [0, 1]."""
     at: dict[RobotIndex, StepNumber] = Field(default_factory=dict)
     """The step, from 1 on, in which a robot fails, by the robot's index, from 0 on."""
-    between: tuple[StepNumber, StepNumber] | None = None
+    between: Annotated[tuple[StepNumber, StepNumber], AfterValidator(_ordered)] | None = None
     """A first and a last step, between which one robot fails; each episode draws both."""
     kind: Literal["brake", "coast", "vanish"] = "brake"
     """The rule for a failed robot: ``"brake"``, ``"coast"`` or ``"vanish"``."""
     most: Annotated[WholeNumber, Field(ge=0, le=MAX_ROBOTS)] | None = None
     """The number of failed robots at which ``rate`` ends, 0 to n; ``None`` is n - 1."""
-
-    @field_validator("between")
-    @classmethod
-    def _in_order(cls, value: tuple[int, int] | None) -> tuple[int, int] | None:
-        if value is not None and value[0] > value[1]:
-            raise ValueError("the first step must not be after the last")
-        return value
 
 
 class NavigationConfig(Checked):

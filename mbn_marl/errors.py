@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
+from importlib import import_module
+from typing import Any
 
 
 class MbnError(ValueError):
@@ -25,6 +27,15 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> str:
 def install(extra: str) -> str:
     """Return the command that installs an extra of ``pyproject.toml``, such as ``"render"``."""
     return f"pip install '.[{extra}]' in a clone of mbn_marl"
+
+
+def load(module: str, extra: str) -> Any:
+    """Import a ``module``; the ImportError without it names the ``extra`` that brings it."""
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        name = module.partition(".")[0]
+        raise ImportError(f"this needs {name}: {install(extra)}", name=name) from error
 
 
 class ProblemsError(MbnError):

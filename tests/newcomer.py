@@ -7,7 +7,6 @@ tiny budgets, from an empty folder; see CONTRIBUTING.md.
 from __future__ import annotations
 
 import os
-import re
 import shlex
 import shutil
 import subprocess
@@ -17,7 +16,6 @@ import tempfile
 import venv
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,29 +24,12 @@ from numba.core.caching import _CacheLocator
 
 from tests.support import pages
 from tests.support.pages import PAGES, README, ROOT, blocks_of, commands_of, tiny
-from tests.support.terminal import in_terminal
 from tests.support.wheel import build_wheel
 
-WIDTH = 80
 LONGEST = 600.0  # seconds that a command may take
 PAGES_AT_A_TIME = 2
-RULE = re.compile("[─━═╌]{3}")
 # They are answered with a message and exit code 2.
 WRONG = ("mbn nonsense", "mbn evaluate nobody", "mbn train ppo field_99", "mbn plan missing.yaml")
-
-
-def broken_words(whole: str, narrow: str) -> Iterator[str]:
-    """Yield the words of ``whole`` that a cell of ``narrow`` breaks into two lines."""
-    lines = [[*re.finditer(r"\S+", line)] for line in narrow.splitlines()]
-    words = set(whole.split()) - set(narrow.split())
-    for above, below in pairwise(lines):
-        for first in above:
-            for second in below:
-                aligned = first.start() == second.start() or first.end() == second.end()
-                if aligned and first[0] + second[0] in words:
-                    yield first[0] + second[0]
-    if "…" in narrow:
-        yield next(line for line in narrow.splitlines() if "…" in line).strip()
 
 
 class Newcomer:
@@ -97,16 +78,6 @@ class Newcomer:
         assert code == 0 or done.stderr.strip(), "no message"
         return done.stdout
 
-    def try_command(self, words: Sequence[str], folder: Path) -> None:
-        """Run a command in a pipe, and in a terminal too if it prints a table."""
-        with tempfile.TemporaryDirectory(dir=self._folder) as other:
-            before = shutil.copytree(folder, Path(other) / "before", symlinks=True)
-            whole = self.run(words, folder)
-            if RULE.search(whole):
-                narrow = in_terminal(words, WIDTH, folder=before, environment=self._environment)
-                broken = [*broken_words(whole, narrow)]
-                assert not broken, f"broken at {WIDTH} columns: {broken}\n{narrow}"
-
     def read(self, page: Path) -> list[str]:
         """Do what a page says in a folder for it alone; return what is wrong."""
         wrong = []
@@ -117,7 +88,7 @@ class Newcomer:
             words = ["mbn", *tiny(line[1:])] if line[0] == "mbn" else line
             name = f"{page.relative_to(ROOT)}: {shlex.join(line)}"
             try:
-                self.try_command(words, folder)
+                self.run(words, folder)
                 print(f"ok  {name}", flush=True)
             except (AssertionError, subprocess.TimeoutExpired) as error:
                 print(f"NO  {name}\n{error}", flush=True)

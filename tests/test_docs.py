@@ -21,8 +21,7 @@ from baselines.cli.main import COMMANDS, main
 from docs.extensions import notebooks
 from mbn_marl import parallel_env
 from tests.support import pages
-from tests.support.pages import EXTENDING, NEEDS, PAGES, README, ROOT, TINY, blocks_of
-from tests.support.terminal import MBN
+from tests.support.pages import EXTENDING, MBN, NEEDS, PAGES, README, ROOT, TINY, blocks_of
 
 TEXT = README.read_text(encoding="utf-8")
 RUN = [

@@ -61,9 +61,7 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Resul
     from baselines.runs.files import Place, RunError
     from baselines.training.run_logger import progress_bars
 
-    hours = config.core_hours
-    spent = f"{hours:.1f} hours" if hours >= 1.0 else f"{60 * hours + 0.5:.0f} minutes"
-    print(f"{len(config.runs())} runs of {config.steps:,} env-steps: about {spent} of one core")
+    print(f"{len(config.runs())} runs of {config.steps:,} env-steps")
     with progress_bars([run.name for run in config.runs()], config.steps) as show:
         results = train_all_runs(config, out, listener=show, **options)
     print_comparison(write_comparison(results, Place.of(out, PAGE)), console())
@@ -202,22 +200,21 @@ class Runs:
 
 
 def line_of(run: RunFolder) -> tuple[str, ...]:
-    from baselines.compare.records import Listed, Summary, validate
     from baselines.compare.text_table import shown
+    from baselines.runs.files import reading
     from mbn_marl.errors import MbnError
 
     here = Path.cwd()
     name = str(run.path.relative_to(here) if run.path.is_relative_to(here) else run.path)
     try:
-        asked = validate(Listed, run.config, run.path / "config.json")
-        if run.finished:
-            last = run.evaluation.get("stochastic")
-        else:
-            history = run.evaluations if (run.path / "evaluations.json").exists() else []
-            last = history[-1] if history else None
-        known = None if last is None else validate(Summary, last, run.path)
+        with reading(run.path):
+            asked, last = run.config, {"success_rate": None, "makespan": None}
+            if run.finished:
+                last = run.evaluation["stochastic"]
+            elif (run.path / "evaluations.json").exists() and run.evaluations:
+                last = run.evaluations[-1]
+            cells = shown(last["success_rate"], "{:.1%}"), shown(last["makespan"], "{:.1f}")
+            who = str(asked["algorithm"]), Path(asked["field"]).stem, str(asked["seed"])
+            return name, *who, run.state, *cells
     except MbnError as error:
         return name, "-", "-", "-", str(error).removeprefix(f"{run.path}/"), "-", "-"
-    numbers = [known and known.success_rate, known and known.makespan]
-    cells = map(shown, numbers, ("{:.1%}", "{:.1f}"))
-    return name, asked.algorithm, Path(asked.field).stem, str(asked.seed), run.state, *cells

@@ -11,10 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from baselines.cli.options import InWeather, check_options
 from mbn_marl.config import CONDITIONS
+from mbn_marl.errors import ConfigError
 
 if TYPE_CHECKING:
     from baselines.policies.loaded import LoadedPolicy
     from mbn_marl.sim3d import Deployment, Scale, Simulator
+
+MOST_SPEEDS = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +99,6 @@ class Deploy(InWeather):
 
     def _check(self) -> tuple[list[float], float]:
         # No wind where the policy's, or the condition's, is to stay.
-        from baselines.evaluation.wind import parse_speeds
         from mbn_marl.files import check_free
         from mbn_marl.render.figures import check_name
 
@@ -162,6 +164,32 @@ class Deploy(InWeather):
         }
         columns = len(next(iter(flights[0].values())))
         figures.save(figures.trajectory_panels(panels, columns=columns), path)
+
+
+def parse_speeds(text: str) -> list[float]:
+    """Read wind speeds: ``0,0.1,..,0.5`` is ``0,0.1,0.2,0.3,0.4,0.5``."""
+    words, speeds = text.replace(" ", "").split(","), list[float]()
+    try:
+        for place, word in enumerate(words):
+            if word != "..":
+                speeds.append(float(word))
+                continue
+            (first, second), last = speeds[-2:], float(words[place + 1])
+            count = round((last - second) / (second - first))
+            steps = range(1, min(count, MOST_SPEEDS) + 1)
+            between = [round(second + step * (second - first), 12) for step in steps]
+            if abs(between.pop() - last) > 1e-9:
+                raise ValueError
+            speeds += between
+        if len(speeds) > MOST_SPEEDS or not all(0.0 <= one < float("inf") for one in speeds):
+            raise ValueError
+    except (ValueError, IndexError, ZeroDivisionError, OverflowError):
+        allowed = (
+            f"allowed: up to {MOST_SPEEDS} speeds of 0 and above between commas, and '..' for even "
+            "steps from two of them to the next; for example 0,0.1,..,0.5"
+        )
+        raise ConfigError("deployment", [f"wind_speeds {text!r}: {allowed}"]) from None
+    return speeds
 
 
 def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:

@@ -36,37 +36,34 @@ class Evaluate(Subject):
     """Let robots do only what they could brake after, whatever the policy wants."""
 
     def run(self, command_line: str) -> None:
-        few = self.episodes < 1
-        check_options("evaluation", {f"episodes: at least 1, not {self.episodes}": few})
-        self._evaluate(*self._subject(), command_line)
-
-    def _subject(self) -> tuple[str, dict[str, Any]]:
-        from baselines.evaluation.evaluate import EVALUATION_SEED
+        from baselines.evaluation.evaluate import (
+            EVALUATION_SEED,
+            evaluate_both,
+            is_one_episode,
+            record_evaluation,
+        )
         from baselines.policies.load import find_policy, is_trained, open_run
         from baselines.policies.shielded import Shielded, behind
-
-        seed = EVALUATION_SEED if self.seed is None else self.seed
-        actor = find_policy(self.source, self.field, seed=seed, **self.asked)
-        if is_trained(self.source) and (unfinished := open_run(self.source).unfinished):
-            print(unfinished)
-        return f"{actor.name}{behind(self.shield)}{self.weather}", {
-            "policy": Shielded(actor.policy) if self.shield else actor.policy,
-            **{"field": actor.place, "settings": actor.settings},
-            **{"episodes": self.episodes, "seed": seed},
-        }
-
-    def _evaluate(self, title: str, how: dict[str, Any], command_line: str) -> None:
-        from baselines.evaluation.evaluate import evaluate_both, is_one_episode, record_evaluation
         from baselines.runs.files import claim_folder, write_json
         from mbn_marl.episode import save_episode
         from mbn_marl.files import check_free, claim_file
 
+        few = self.episodes < 1
+        check_options("evaluation", {f"episodes: at least 1, not {self.episodes}": few})
+        seed = EVALUATION_SEED if self.seed is None else self.seed
+        actor = find_policy(self.source, self.field, seed=seed, **self.asked)
+        if is_trained(self.source) and (unfinished := open_run(self.source).unfinished):
+            print(unfinished)
+        title = f"{actor.name}{behind(self.shield)}{self.weather}"
+        policy = Shielded(actor.policy) if self.shield else actor.policy
         if self.json is not None:
             check_free(self.json, force=self.force)
         if self.record is not None:
             claim_folder(self.record, force=self.force)
-        results = evaluate_both(**how)
-        one = partial(is_one_episode, how["policy"], how["settings"])
+        where = policy, actor.place, actor.settings
+        how: dict[str, Any] = {"episodes": self.episodes, "seed": seed}
+        results = evaluate_both(*where, **how)
+        one = partial(is_one_episode, policy, actor.settings)
         summaries = {name: result.summary() for name, result in results.items()}
         print_evaluations(summaries.values(), title, one)
         if self.json is not None:
@@ -76,7 +73,7 @@ class Evaluate(Subject):
             write_json(claim_file(self.json, force=self.force), {**heading, **episodes})
         if self.record is not None:
             source = title if self.field else f"{title}, sampled actions"
-            recorded = record_evaluation(**how, source=source)
+            recorded = record_evaluation(*where, **how, source=source)
             for name, episode in recorded.items():
                 named = replace(episode, source=f"{episode.source}, {name}")
                 save_episode(named, self.record / f"{name}.json")

@@ -11,13 +11,11 @@ from typing import Annotated, Any, TypeVar
 
 import tyro
 from tyro.conf import Positional, arg
-from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from mbn_marl.config import Condition
 from mbn_marl.errors import ConfigError
 
 Command = TypeVar("Command")
-REGISTRY = ConstructorRegistry()
 CORES = os.cpu_count() or 1
 Output = Annotated[Path, arg(aliases=["-o"])]
 OptionalOutput = Annotated[Path | None, arg(aliases=["-o"])]
@@ -34,30 +32,7 @@ def read_options(command: type[Command], words: Sequence[str], prog: str) -> Com
     config = (tyro.conf.FlagCreatePairsOff,)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a default None that the class itself replaces
-        return tyro.cli(command, prog=prog, args=words, config=config, registry=REGISTRY)
-
-
-def whole_number(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        number = float(text)
-        if not number.is_integer():
-            raise
-        return int(number)
-
-
-@REGISTRY.primitive_rule
-def _whole_number(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[int] | None:
-    if info.type is not int:
-        return None
-    return PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="INT",
-        instance_from_str=lambda words: whole_number(words[0]),
-        is_instance=lambda value: isinstance(value, int),
-        str_from_instance=lambda value: [str(value)],
-    )
+        return tyro.cli(command, prog=prog, args=words, config=config)
 
 
 @dataclass(frozen=True, kw_only=True)

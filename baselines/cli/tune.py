@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from baselines.cli.options import CORES, OptionalOutput, check_options
+from baselines.cli.options import CORES, OptionalOutput, Writes, check_options
 
 if TYPE_CHECKING:
     from optuna.trial import FrozenTrial
 
 
 @dataclass(frozen=True)
-class Tune:
+class Tune(Writes):
     """Tune what the paper tuned, and write the values that `mbn train --setting B` reads."""
 
     algorithm: Positional[Annotated[str, arg(metavar="ALGO")]]
@@ -44,8 +44,6 @@ class Tune:
     """The folder of the study; by default runs/tune-ALGO-FIELD."""
     resume: bool = False
     """Continue the study that is there; a trial that was interrupted is run again."""
-    force: bool = False
-    """If the folder exists, move it aside (to OUT.1, OUT.2, ...)."""
 
     def run(self, command_line: str) -> None:
         from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
@@ -78,16 +76,8 @@ class Tune:
                 print(f"trial {trial.number}: {state}{reward}; {values}", flush=True)
                 bars.advance(whole)
 
-            path = tune(
-                config,
-                out,
-                trials=self.trials,
-                engine=engine,
-                command=command_line,
-                resume=self.resume,
-                force=self.force,
-                listener=tell,
-            )
+            how: dict[str, Any] = {n: getattr(self, n) for n in ("trials", "resume", "force")}
+            path = tune(config, out, engine=engine, command=command_line, listener=tell, **how)
         print(
             f"written to {out}: trials.csv, history.png, {path.name}. To train with it:\n"
             f"mbn train {self.algorithm} FIELD --setting B --hyperparams {path}"

@@ -23,6 +23,7 @@ from mbn_marl.render import style
 FloatArray = NDArray[np.float64]
 Curves = Mapping[str, Sequence[tuple[FloatArray, FloatArray]]]
 Band = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+Pair = tuple[float | None, float | None]  # two returns; ``None`` is missing
 
 _RATIOS = (1.0, 1.05, 1.1, 1.2, 1.3, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
 _RULE: dict[str, Any] = {"color": style.FAINT_INK, "lw": 1.0}  # the look of a marked return
@@ -37,13 +38,6 @@ class Panel(NamedTuple):
 
     curves: Curves
     optimum: float | None = None
-
-
-class Pair(NamedTuple):
-    """``None`` is missing."""
-
-    first: float | None
-    second: float | None
 
 
 def draw_gaps(comparison: Comparison) -> Figure:
@@ -158,11 +152,7 @@ def learning_curves(
 
 
 @matplotlib.rc_context(style.MATPLOTLIB)
-def pairs(
-    panels: Mapping[str, Mapping[str, Pair]],
-    names: tuple[str, str],
-    threshold: float = RETURN_THRESHOLD,
-) -> Figure:
+def pairs(panels: Mapping[str, Mapping[str, Pair]], names: tuple[str, str]) -> Figure:
     """Draw two returns on a line each, a panel a title; ``names`` are those of the two."""
     found = itertools.chain(*(itertools.chain(*panel.values()) for panel in panels.values()))
     values = [value for value in found if value is not None]
@@ -170,7 +160,7 @@ def pairs(
     figure, grid = _layout(len(panels), 0.19 * len(labels) + 0.5)
     for axes, (title, panel) in zip(grid, panels.items(), strict=True):
         for place, label in enumerate(labels):
-            pair = panel.get(label, Pair(None, None))
+            pair = panel.get(label, (None, None))
             if None not in pair:
                 axes.plot(pair, [place, place], zorder=2, **_RULE)
             for value, mark in zip(pair, _PAIR_MARKS, strict=True):
@@ -179,18 +169,18 @@ def pairs(
             if pair == (None, None):
                 at: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "va": "center"}
                 axes.annotate("missing", (0.02, place), color=style.FAINT_INK, fontsize=7.0, **at)
-        axes.axvline(threshold, ls=":", zorder=1, **_RULE)
+        axes.axvline(RETURN_THRESHOLD, ls=":", zorder=1, **_RULE)
         axes.set_title(title, loc="left")
         axes.grid(True, axis="x")
     grid[0].set_yticks(range(len(labels)), labels)
     grid[0].set_ylim(len(labels) - 0.4, -0.6)
-    note = _scale_returns(grid[0], "x", min(values), max(threshold, *values), ticks=2)
+    note = _scale_returns(grid[0], "x", min(values), max(RETURN_THRESHOLD, *values), ticks=2)
     for axes in grid[-2:]:
         axes.set_xlabel(f"mean return during training{note}")
     handles = [
         Line2D([], [], label=name, **mark) for name, mark in zip(names, _PAIR_MARKS, strict=True)
     ]
-    handles.append(Line2D([], [], ls=":", label=f"threshold {threshold:,.0f}", **_RULE))
+    handles.append(Line2D([], [], ls=":", label=f"threshold {RETURN_THRESHOLD:,.0f}", **_RULE))
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
 

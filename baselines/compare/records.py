@@ -44,23 +44,13 @@ Positive = Annotated[RealNumber, Range(ge=0, le=MOST)]
 Share = Annotated[RealNumber, Range(ge=0, le=1)]
 
 
-class Listed(BaseModel):
-    algorithm: str
-    field: str
-    seed: Count
-    steps: Count
-
-
 class Score(BaseModel):
     return_mean: Number
     success_rate: Share
 
 
-class Summary(Score):
+class Measured(Score):
     makespan: Positive | None
-
-
-class Measured(Summary):
     gap: Number | None
     spl: Positive | None
 
@@ -89,7 +79,7 @@ class Final(BaseModel):
 
 @dataclass(frozen=True)
 class RunRecord:
-    """A run's folder, configuration and fields; evaluations are read when first asked for."""
+    """A run's folder, configuration and fields."""
 
     run: RunFolder
     config: Mapping[str, Any]
@@ -112,23 +102,15 @@ class RunRecord:
             raise RunError(f"{path} is not valid: {'; '.join(problems)}")
         if finished or run.finished:
             place = run.path / "evaluation.json"
-            validate(Final if finished else Scores, record.evaluation, place)
+            validate(Final if finished else Scores, run.evaluation, place)
         if finished:
-            for number, entry in enumerate(record.evaluations):
+            for number, entry in enumerate(run.evaluations):
                 validate(Progress, entry, run.path / "evaluations.json", f"{number}.")
-            steps = [entry["env_steps"] for entry in record.evaluations]
+            steps = [entry["env_steps"] for entry in run.evaluations]
             if not steps or steps != sorted(set(steps)):
                 wrong = "env_steps have to increase" if steps else "is empty: never evaluated"
                 raise RunError(f"{run.path / 'evaluations.json'}: {wrong}")
         return record
-
-    @cached_property
-    def evaluations(self) -> list[dict[str, Any]]:
-        return self.run.evaluations
-
-    @cached_property
-    def evaluation(self) -> dict[str, Any]:
-        return self.run.evaluation
 
     @property
     def label(self) -> str:
@@ -151,7 +133,7 @@ class RunRecord:
     @cached_property
     def row(self) -> dict[str, Any]:
         """The run in numbers, a row of ``runs.csv``; ``None`` is unknown."""
-        config, final = self.config, self.evaluation
+        config, final = self.config, self.run.evaluation
         form = find_algorithm(config["algorithm"]).form
         kinds = {"": final["stochastic"], "deterministic_": final["deterministic"]}
         seen = information(config["environment"], centralized=form == "centralized")
@@ -165,7 +147,7 @@ class RunRecord:
             "first_pass": next(
                 (
                     entry["env_steps"]
-                    for entry in self.evaluations
+                    for entry in self.run.evaluations
                     if passes(entry["success_rate"], entry["deterministic_success_rate"])
                 ),
                 None,
@@ -179,7 +161,7 @@ class RunRecord:
         """The evaluations on the way, rows of ``curves.csv``."""
         who = {name: self.row[name] for name in ("label", "field", "seed")}
         names = ("env_steps", *BOTH)
-        return [{**who, **{name: one[name] for name in names}} for one in self.evaluations]
+        return [{**who, **{name: one[name] for name in names}} for one in self.run.evaluations]
 
 
 def validate(model: type[Content], content: Any, path: Path, place: str = "") -> Content:
@@ -191,18 +173,15 @@ def validate(model: type[Content], content: Any, path: Path, place: str = "") ->
 
 
 def find_records(
-    paths: Sequence[Path],
-    note: Callable[[str], None] = lambda text: None,
-    *,
-    comparisons: bool = True,
-    finished: bool = True,
+    paths: Sequence[Path], note: Callable[[str], None] = lambda text: None, *, finished: bool = True
 ) -> list[RunRecord]:
-    """Read the runs at ``paths``, see ``run_folders``; a RunError names one that cannot be read.
+    """Read the runs at ``paths``; a RunError names one that cannot be read.
 
-    Runs on random fields are left out, but for finished ones that are evaluated on a tier;
-    ``note`` receives a line about each.
+    Those inside a comparison are read if all have to be ``finished``. Runs on random fields are
+    left out, but for finished ones that are evaluated on a tier; ``note`` receives a line about
+    each.
     """
-    runs = [RunFolder.open(path) for path in run_folders(paths, note, comparisons=comparisons)]
+    runs = [RunFolder.open(path) for path in run_folders(paths, note, comparisons=finished)]
     some = [
         run
         for run in runs

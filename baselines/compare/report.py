@@ -132,9 +132,9 @@ def marl_eval_data(results: Results) -> dict[str, Any]:
         longest = make_config(one.config["environment"]).max_steps
         steps: dict[str, Any] = {
             f"step_{k}": {"step_count": entry["env_steps"], **metrics(entry, longest)}
-            for k, entry in enumerate(one.evaluations)
+            for k, entry in enumerate(one.run.evaluations)
         }
-        steps["absolute_metrics"] = metrics(one.evaluation["stochastic"], longest)
+        steps["absolute_metrics"] = metrics(one.run.evaluation["stochastic"], longest)
         seeds = tasks.setdefault(one.place, {}).setdefault(one.label, {})
         seeds[f"seed_{one.config['seed']}"] = steps
     return {"mbn_marl": tasks}

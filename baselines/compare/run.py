@@ -49,10 +49,12 @@ def train_all_runs(
             find_algorithm(run.algorithm).check(*prepare(run))
     if problems:
         raise ConfigError("comparison", problems)
-    if resume:
-        _check_same(config, out)
-    else:
+    if not resume:
         claim_folder(out, force=force)
+    elif not (out / "config.json").is_file():
+        raise RunError(f"{out} is not the folder of a comparison: it has no config.json")
+    elif changed := differences(read_json(out / "config.json"), config.to_json()):
+        raise ConfigError(f"{out} cannot be resumed", changed)
     with alone(out, "mbn compare"):
         if not resume:
             write_json(out / "config.json", config.to_json())
@@ -72,10 +74,3 @@ def train_all_runs(
         raise RunError("nothing is left to compare:\n" + "\n".join(errors.values()))
     named = [variant.label for variant in config.variants if variant.label is not None]
     return Results.of(records, errors, named)
-
-
-def _check_same(config: CompareConfig, out: Path) -> None:
-    if not (out / "config.json").is_file():
-        raise RunError(f"{out} is not the folder of a comparison: it has no config.json")
-    if problems := differences(read_json(out / "config.json"), config.to_json()):
-        raise ConfigError(f"{out} cannot be resumed", problems)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from scipy import stats
 
 from baselines.algorithms import Algorithm, find_algorithm
 from baselines.compare.records import BOTH, Results
-from baselines.evaluation.intervals import mean_interval, mean_of_known
+from baselines.evaluation.intervals import Interval, mean_interval, mean_of_known
 
 RESAMPLES, CERTAIN = 10_000, 0.05
 ENDS = (2.5, 97.5)
@@ -30,21 +30,13 @@ Numbers = Mapping[str, Any]
 """Numbers by name; ``None`` is unknown."""
 
 
-class Estimate(NamedTuple):
-    """A statistic and its interval; one seed a field gives no interval."""
-
-    value: float
-    low: float | None
-    high: float | None
-
-
-def interquartile_mean(scores: FloatArray) -> Estimate:
+def interquartile_mean(scores: FloatArray) -> Interval:
     """The mean of the middle half of all runs: a quarter, rounded down, is cut at both ends."""
     value = float(stats.trim_mean(scores.ravel(), 0.25))
     if scores.shape[1] == 1:
-        return Estimate(value, None, None)
+        return Interval(value, None, None)
     means = stats.trim_mean(_resampled(scores, np.random.default_rng(0)), 0.25, axis=1)
-    return Estimate(value, *np.percentile(means, ENDS).tolist())
+    return Interval(value, *np.percentile(means, ENDS).tolist())
 
 
 def worst_tenth(scores: FloatArray) -> float:
@@ -52,13 +44,13 @@ def worst_tenth(scores: FloatArray) -> float:
     return float(np.sort(scores, axis=None)[: max(scores.size // 10, 1)].mean())
 
 
-def difference(ours: FloatArray, theirs: FloatArray) -> Estimate:
+def difference(ours: FloatArray, theirs: FloatArray) -> Interval:
     value = float(ours.mean() - theirs.mean())
     if ours.shape[1] == 1:
-        return Estimate(value, None, None)
+        return Interval(value, None, None)
     rng = np.random.default_rng(0)
     means = [_resampled(side, rng).mean(axis=1) for side in (ours, theirs)]
-    return Estimate(value, *np.percentile(means[0] - means[1], ENDS).tolist())
+    return Interval(value, *np.percentile(means[0] - means[1], ENDS).tolist())
 
 
 def permutation_test(ours: FloatArray, theirs: FloatArray) -> float:
@@ -100,7 +92,6 @@ class Comparison:
 
     question: str
     verdict: str
-    looks: Mapping[str, int]  # the labels in order, with the numbers of their looks in figures
     rows: Sequence[Numbers]  # every label on every field, field by field
     aggregates: Sequence[Numbers]  # every label over the fields with a proved bound
     pairs: Sequence[Numbers]  # every two labels over these fields, the better one first
@@ -109,7 +100,7 @@ class Comparison:
     broken_runs: Mapping[str, str]  # the error of each that diverged; its label is left out
 
     def to_json(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "looks"}
+        return dict(vars(self))
 
 
 def summarise(results: Results) -> Comparison:
@@ -126,7 +117,6 @@ def summarise(results: Results) -> Comparison:
     return Comparison(
         question=question(results),
         verdict=verdict(results, pairs),
-        looks=results.looks,
         rows=rows,
         aggregates=aggregates,
         pairs=pairs,

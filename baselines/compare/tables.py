@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from itertools import groupby
+from operator import itemgetter
 
 from rich.console import Console
 
@@ -41,7 +42,8 @@ def field_tables(comparison: Comparison) -> dict[str, TextTable]:
     """Return a table for each field, by title; the first one says what columns mean."""
     headings = (*HEADINGS, "SPL", "makespan", "return", "to pass")
     tables: dict[str, TextTable] = {}
-    for field, rows in _by_field(comparison.rows).items():
+    for field, same in groupby(comparison.rows, key=itemgetter("field")):
+        rows = list(same)
         steps = " or ".join(f"{steps:,}" for steps in sorted({row["env_steps"] for row in rows}))
         title = f"{field}: {steps} env-steps a run, {_counted(rows[0]['runs'], 'seed')} each"
         lines = [
@@ -83,11 +85,6 @@ def overall_tables(comparison: Comparison) -> dict[str, TextTable]:
     return tables
 
 
-def _by_field(rows: Sequence[Numbers]) -> dict[str, list[Numbers]]:
-    fields = dict.fromkeys(row["field"] for row in rows)
-    return {field: [row for row in rows if row["field"] == field] for field in fields}
-
-
 def _aggregates(comparison: Comparison) -> TextTable:
     left_out = ", ".join(comparison.fields_without_bound)
     caption = OF_AGGREGATES + (
@@ -96,10 +93,7 @@ def _aggregates(comparison: Comparison) -> TextTable:
     headings = (*HEADINGS, "SPL\n(IQM)", "worst\ntenth", "return", "to pass")
     lines = [
         (
-            *_begin(
-                one,
-                f"{one['passed']}/{one['runs']}\n{_ends(one, 'pass')}",
-            ),
+            *_begin(one, f"{one['passed']}/{one['runs']}\n{_ends(one, 'pass')}"),
             f"{one['iqm']:.1%}\n{_ends(one, 'iqm')}",
             f"{one['worst_tenth']:.1%}",
             shown(one["return_mean"]),

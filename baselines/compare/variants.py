@@ -15,7 +15,6 @@ from pydantic_core import to_jsonable_python
 from tyro.conf import arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-from baselines.algorithms import find_algorithm
 from baselines.training.config import TrainConfig, default_label, read_blocks, validate
 from mbn_marl.errors import ConfigError, FieldError, collecting
 from mbn_marl.field import FieldSampler, load_fields
@@ -149,11 +148,6 @@ class CompareConfig:
 
     def runs(self) -> list[TrainConfig]:
         return [self._run(*cell) for cell in self._cells()]
-
-    @property
-    def core_hours(self) -> float:
-        speeds = [find_algorithm(run.algorithm).speed(run.setting) for run in self.runs()]
-        return sum(self.steps / speed for speed in speeds) / 3600
 
     def _cells(self) -> Iterator[tuple[int, str, Variant]]:
         return itertools.product(self.seeds, self.fields, self.variants)

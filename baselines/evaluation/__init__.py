@@ -1,1 +1,1 @@
-"""Policies in action: evaluation, wind sweeps, recorded episodes, intervals."""
+"""Policies in action: evaluation, recorded episodes, intervals."""

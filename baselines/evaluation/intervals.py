@@ -17,7 +17,7 @@ def passes(*success_rates: float) -> bool:
 
 
 class Interval(NamedTuple):
-    """A mean over seeds with its bootstrap interval; one seed gives no interval."""
+    """A mean or a difference of means with its bootstrap interval; one seed gives none."""
 
     mean: float
     low: float | None

@@ -70,11 +70,7 @@ def write_report(
 
 
 def _page(
-    trainings: Trainings,
-    drawn: Mapping[str, object],
-    place: Place,
-    command: str,
-    preface: str,
+    trainings: Trainings, drawn: Mapping[str, object], place: Place, command: str, preface: str
 ) -> str:
     def picture(name: str, title: str) -> str:
         if drawn.get(name) is None:
@@ -151,16 +147,16 @@ def against(trainings: Trainings, first: str, second: str) -> Figure | None:
         both = [field for field in fields if (algorithm, field) in means.index]
         if not both:
             continue
-        lines = {
-            field: Pair(*means.loc[algorithm, field]) if field in both else Pair(None, None)
+        lines: dict[str, Pair] = {
+            field: (means[first].get((algorithm, field)), means[second].get((algorithm, field)))
             for field in fields
         }
         own = rows[(rows.algorithm == algorithm) & rows.field.isin(both)]
         together = own.groupby("setting").moving_mean.mean()
-        lines["these together"] = Pair(together[first], together[second])
+        lines["these together"] = together[first], together[second]
         if {first, second} <= set(published.SETTINGS):
-            cells = [paper.get((algorithm, name), {}) for name in (first, second)]
-            lines["paper, all ten"] = Pair(*(cell.get("mean") for cell in cells))
+            ours, theirs = (paper.get((algorithm, name), {}) for name in (first, second))
+            lines["paper, all ten"] = ours.get("mean"), theirs.get("mean")
         panels[published.display_name(algorithm)] = lines
     if not panels:
         return None

@@ -101,7 +101,7 @@ def find_trainings(
     found = [run for path in reports for run in _of_report(path)]
     folders = [path for path in paths if path not in reports]
     if folders or not reports:
-        records = find_records(folders, note, comparisons=False, finished=False)
+        records = find_records(folders, note, finished=False)
         found += map(_of_record, records)
     found = _one_of_each(found, note)
     begun = [
@@ -129,7 +129,7 @@ def _one_of_each(found: Sequence[_Training], note: Callable[[str], None]) -> lis
 
 def _of_record(record: RunRecord) -> _Training:
     progress, run = read_progress(record.run.progress), record.run
-    final = record.evaluation["stochastic"] if run.finished else {}
+    final = run.evaluation["stochastic"] if run.finished else {}
     cell = {name: record.config[name] for name in RUN}
     if cell["field"] not in catalogue_names():  # a file has its name, marked if it is a known one
         name = Path(cell["field"]).stem

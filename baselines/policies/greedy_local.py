@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -27,16 +28,18 @@ class GreedyLocal(Braking, Policy):
 
     A robot assigns the ROIs that it believes to be left to itself and the robots that it observes,
     the earliest visit first. It does so again when its beliefs or the robots in sight change. It
-    observes ``lidar_local``; the map, without the starts of other robots, is known. A ``blind`` one
-    ignores the other robots. If ROIs are hidden, robots without any go to the nearest part of the
-    field that they have not seen, nor, as far as they know, those that tell them.
+    observes ``lidar_local``; the map, without the starts of other robots, is known, and the kinds
+    of all robots. A ``blind`` one ignores the other robots. If ROIs are hidden, robots without any
+    go to the nearest part of the field that neither they nor, as far as they know, those that tell
+    them have seen.
     """
 
     def __init__(
         self, problem: Problem, settings: NavigationConfig, *, blind: bool = False
     ) -> None:
         config, arena = problem.config, problem.field.arena
-        table = observation_table(config, problem.n, problem.m, arena)
+        kinds = bool(problem.field.roi_kinds)
+        table = observation_table(config, problem.n, problem.m, arena, kinds=kinds)
         super().__init__(problem, table)
         self._blind, self._heard = blind, settings.comm_radius
         self._parts, self._near = np.zeros((0, 2)), np.zeros(0)
@@ -48,6 +51,9 @@ class GreedyLocal(Braking, Policy):
         self._roadmap: Roadmap | None = None
         if not problem.convex:
             self._roadmap = clear_roadmap(replace(problem, rois=self._places), problem.rois[:0])
+        self._robots = np.arange(problem.n)
+        # The ROIs that robots may visit, in the order in which each observes them.
+        self._mine = problem.mine[[[i, *np.delete(self._robots, i)] for i in self._robots]]
         self.reset()
 
     def reset(self, worlds: np.ndarray | None = None) -> None:
@@ -56,6 +62,11 @@ class GreedyLocal(Braking, Policy):
         elif len(self._target):
             self._target[worlds], self._beliefs[worlds] = UNKNOWN, UNKNOWN
             self._swept[worlds] = False
+
+    def of_robot(self, robot: int, robots: int) -> GreedyLocal:
+        one = deepcopy(self)
+        one._robots = np.array([robot])
+        return one
 
     def draws(self, *, deterministic: bool) -> bool:
         return False
@@ -84,7 +95,8 @@ class GreedyLocal(Braking, Policy):
         stale = np.flatnonzero((known != beliefs).any(1))
         known[stale] = beliefs[stale]
         if len(stale):
-            target[stale] = self._assigned(place[stale], others[stale], there[stale], left[stale])
+            able = left[stale, None] & self._mine[self._robots[stale % len(self._robots)]]
+            target[stale] = self._assigned(place[stale], others[stale], there[stale], able)
         if len(self._parts):
             self._sweep(place, others, there, target)
         return target
@@ -105,23 +117,23 @@ class GreedyLocal(Braking, Policy):
         ways = own + np.where(taken, np.linalg.norm(self._arena), 0.0)
         target[idle] = m + np.where(swept, np.inf, ways).argmin(1)[idle]
 
-    def _assigned(self, place: Floats, others: Floats, there: Flags, left: Flags) -> NDArray[Any]:
+    def _assigned(self, place: Floats, others: Floats, there: Flags, able: Flags) -> NDArray[Any]:
         """Return the first ROI of each row's own robot in its greedy assignment, or -1."""
-        rows, left, rois = np.arange(len(place)), left.copy(), self.problem.rois
+        rows, rois = np.arange(len(place)), self.problem.rois
         at = np.concatenate([place[:, None], others], 1)
         walked = np.where(np.concatenate([np.ones_like(there[:, :1]), there], 1), 0.0, np.inf)
         first = np.full(len(place), UNKNOWN)
-        for _ in range(left.shape[1]):
+        for _ in range(len(rois)):
             ways = np.linalg.norm(at[:, :, None] - rois, axis=-1) + walked[..., None]
-            ways[~np.broadcast_to(left[:, None], ways.shape)] = np.inf
-            robot, roi = np.divmod(ways.reshape(len(rows), -1).argmin(1), left.shape[1])
+            ways[~able] = np.inf
+            robot, roi = np.divmod(ways.reshape(len(rows), -1).argmin(1), len(rois))
             length = ways[rows, robot, roi]
             found = np.isfinite(length)
             mine = found & (robot == 0) & (first == UNKNOWN)
             first[mine] = roi[mine]
             at[rows[found], robot[found]] = rois[roi[found]]
             walked[rows[found], robot[found]] = length[found]
-            left[rows[found], roi[found]] = False
+            able[rows[found], :, roi[found]] = False
             if ((first != UNKNOWN) | ~found).all():
                 break
         return first

@@ -196,7 +196,8 @@ def _places(observes: Observes, trained: NavigationConfig, engine: BatchEngine) 
             places += range(visited - n, visited) if shown else [-1] * n
         return [*places, visited]
     offsets = {entry.name: entry.offset for entry in engine.observation_table}
-    table = observation_table(trained, n, engine.n_rois, engine.arena)
+    sizes = n, engine.n_rois, engine.arena
+    table = observation_table(trained, *sizes, kinds=engine.has_kinds)
     return [offsets.get(entry.name, -1) for entry in table]
 
 
@@ -215,6 +216,7 @@ def acts_on(field: Field | FieldSampler, config: NavigationConfig) -> dict[str, 
         **{"robots": robots, "ROIs": rois, "arena": tuple(map(float, field.arena))},
         "headings": _turns(config, robots),
         "failures": config.failures is not None,
+        "kinds": isinstance(field, Field) and bool(field.roi_kinds),
         "v_clip": config.top_speed,
         "observation": config.observation,
         "assignment": bool(config.assignment),

@@ -114,17 +114,12 @@ class RunFolder:
             return "not evaluated"
         if not self.saved_steps:
             return "begun" if (self.path / "config.json").is_file() else "not begun"
-        return self._steps
-
-    @property
-    def _steps(self) -> str:
         return f"{self.saved_steps:,} of {self.config['steps']:,} env-steps"
 
     @property
     def unfinished(self) -> str | None:
         """The progress of a run without a final policy, in words; ``None`` if it has one."""
-        done = (self.path / "policy").exists()
-        return None if done else f"unfinished: checkpoint at {self._steps}"
+        return None if (self.path / "policy").exists() else f"unfinished: {self.state}"
 
     @property
     def checkpoint(self) -> Path | None:

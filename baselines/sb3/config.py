@@ -58,8 +58,7 @@ TUNED_IN_PAPER = (
 # The algorithms that offer a hyperparameter, where not all do.
 OFFERED: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(
-        ("roi_radius", "scattered", "episode_steps"),
-        ("a2c", "ppo", "trpo", "ppo-shared"),
+        ("roi_radius", "scattered", "episode_steps"), ("a2c", "ppo", "trpo", "ppo-shared")
     ),
     "joint_observation": ("a2c", "ppo", "trpo", "ars", "crossq", "tqc"),
 }

@@ -143,8 +143,12 @@ class Learner:
         return int(self.model.num_timesteps) // self.stride
 
     @property
+    def curriculum(self) -> RoiCurriculum:
+        return self._worlds.curriculum
+
+    @property
     def diagnostics(self) -> dict[str, float]:
-        curriculum = self._worlds.curriculum
+        curriculum = self.curriculum
         return {"roi_radius": curriculum.radius} if curriculum.first > 1.0 else {}
 
     @property
@@ -176,7 +180,7 @@ class Learner:
             "ep_success_buffer": list(map(float, model.ep_success_buffer)),
             "actions": model.action_space.np_random.bit_generator.state,
             "generators": save_generators(),
-            "curriculum": asdict(self._worlds.curriculum),
+            "curriculum": asdict(self.curriculum),
         }
         write_json(folder / COUNTERS, counters)
 
@@ -217,6 +221,7 @@ class Reporter(BaseCallback, KVWriter):
     def __init__(self, recorder: Recorder, learner: Learner) -> None:
         super().__init__()
         self._recorder, self._learner, self._reported = recorder, learner, 0
+        self._ended = False
 
     def _on_training_start(self) -> None:
         self._recorder.start()
@@ -224,12 +229,13 @@ class Reporter(BaseCallback, KVWriter):
 
     def _on_rollout_start(self) -> None:
         self._report()
+        learner = self._learner
+        self._ended = not self._recorder.goes_on(learner.env_steps, begun=learner.curriculum.begun)
         if self._recorder.checkpoint_due:
-            learner = self._learner
             self._recorder.save_checkpoint(learner.env_steps, learner.policy, learner.save)
 
     def _on_step(self) -> bool:
-        return True
+        return not self._ended
 
     def _on_training_end(self) -> None:
         self._report()
@@ -267,8 +273,11 @@ def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
     log_interval = 4  # episodes, or updates of ARS; below rollouts
     if isinstance(model, OnPolicyAlgorithm):
         log_interval = math.ceil(ROW_STEPS * stride / (model.n_steps * model.n_envs))
+    if (parts := recorder.left / task.config.steps) > 1.0:
+        falling = model.lr_schedule
+        model.lr_schedule = lambda left: falling(max(0.0, 1.0 - parts * (1.0 - left)))
     model.learn(
-        task.config.steps * stride - model.num_timesteps,
+        recorder.left * stride - model.num_timesteps,
         callback=reporter,
         log_interval=log_interval,
         reset_num_timesteps=recorder.checkpoint is None,

@@ -11,8 +11,7 @@ from typing import Any, Literal
 
 from baselines.runs.files import RunError, alone, differences
 from baselines.runs.folder import RunFolder
-from baselines.sweep.processes import Failure, LocalEngine
-from baselines.sweep.ray_cluster import RayEngine
+from baselines.sweep.processes import Failure, LocalEngine, RayEngine
 from baselines.sweep.spec import Resources, without_source
 from baselines.training.config import DivergenceError, TrainConfig
 from baselines.training.run_logger import Listener, Report

@@ -8,12 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from baselines.algorithms import Setting, find_algorithm
 from baselines.training.aids import Count, NonNegative, Positive
-from baselines.training.config import ENVIRONMENT, MOST_SEED, TrainConfig, default_label, parse
+from baselines.training.config import (
+    ENVIRONMENT,
+    MOST_SEED,
+    TrainConfig,
+    default_label,
+    parse,
+    read_yaml,
+)
 from baselines.training.train import found_anywhere, prepare, sizes
 from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, MbnError, ProblemsError
@@ -75,12 +81,7 @@ class GridSpec(_Strict):
 
 
 def read_spec(path: Path) -> GridSpec:
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(str(path), [f"cannot be read: {error}"]) from None
-    if not isinstance(values, dict):
-        raise ConfigError(str(path), ["must be a mapping"])
+    values = read_yaml(path)
     try:
         return GridSpec.model_validate(values)
     except ValidationError as error:

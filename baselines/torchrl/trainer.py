@@ -23,7 +23,7 @@ from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.networks import DISTRIBUTIONS, GaussianPolicy, Key, TeamShape, ValueNetwork
 from baselines.torchrl.policy import TeamPolicy
-from baselines.training.aids import RoiCurriculum, between
+from baselines.training.aids import STAGES, RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
 from mbn_marl.adapters.torchrl import NavigationEnv
@@ -88,6 +88,8 @@ class Trainer:
         torch.manual_seed(task.config.seed)
         self.task, self.config, self.recorder = task, config, recorder
         self.curriculum = RoiCurriculum(config.roi_radius, window=config.num_worlds)
+        # The env-steps at which ROIs last were too large.
+        self.grown = 0
         env = self._make_env()
         engine, sets = env.engine, config.network == "entities"
         self.tokens = Tokens.of(engine.observation_table) if sets else None
@@ -165,11 +167,13 @@ class Trainer:
             theirs: Any = load_trained(open_run(str(source)))
             self.network.load_state_dict(theirs.network.state_dict())
         self.recorder.start()
-        while env_steps < self.task.config.steps:
+        while self.recorder.goes_on(env_steps, begun=self.curriculum.begun):
             progress = env_steps / self.task.config.steps
             for group in self.optimizer.param_groups:
                 group["lr"] = between(config.learning_rate, progress)
-            self.network.log_std.data.clamp_(max=config.cap_at(progress))
+            if self.curriculum.radius > 1.0:
+                self.grown = env_steps
+            self.network.log_std.data.clamp_(max=config.cap_at(self._narrowing(env_steps)))
             started = time.perf_counter()
             rollout = next(self.rollouts).copy()
             collected = time.perf_counter()
@@ -195,6 +199,12 @@ class Trainer:
                 self.recorder.save_checkpoint(env_steps, policy, save)
         self.network.amplify(config.final_gain)
         self.recorder.finish(env_steps, policy)
+
+    def _narrowing(self, env_steps: int) -> float:
+        # The first half of the way follows the size of the ROIs, so that a team whose ROIs grow
+        # again explores; the second half follows the time.
+        stages = self.curriculum.stage / STAGES / 2
+        return stages + (env_steps - self.grown) / self.task.config.steps
 
     @torch.no_grad()
     def _estimate(self, rollout: TensorDictBase) -> None:
@@ -255,7 +265,8 @@ class Trainer:
         moments = tensors.moments_of(self.optimizer.state_dict())
         tensors.write_tensors(folder / OPTIMIZER, moments)
         write_arrays(folder / WORLDS, self.env.save_state(), compress=True)
-        counters = {"env_steps": env_steps, "curriculum": asdict(self.curriculum)}
+        counters: dict[str, Any] = {"env_steps": env_steps, "grown": self.grown}
+        counters["curriculum"] = asdict(self.curriculum)
         write_json(folder / COUNTERS, {**counters, "generators": tensors.save_generators()})
 
     def _restore(self, folder: Path) -> int:
@@ -266,6 +277,7 @@ class Trainer:
             self.optimizer.load_state_dict(tensors.with_moments(state, moments))
             counters = read_json(folder / COUNTERS)
             self.curriculum = TypeAdapter(RoiCurriculum).validate_python(counters["curriculum"])
+            self.grown = int(counters["grown"])
             env = self._make_env()
             env.load_state(read_arrays(folder / WORLDS))
             self._collect_from(env)

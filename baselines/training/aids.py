@@ -45,6 +45,11 @@ class RoiCurriculum:
     def radius(self) -> float:
         return float(self.first ** (1.0 - self.stage / STAGES))
 
+    @property
+    def begun(self) -> bool:
+        """ROIs have shrunk, or never were large."""
+        return self.stage > 0 or self.first == 1.0
+
     def add(self, successes: Sequence[float]) -> None:
         self.ended += len(successes)
         self.succeeded += round(sum(successes))

@@ -163,9 +163,9 @@ class Hyperparameters(pydantic.BaseModel):
     source: str = pydantic.Field("", repr=False)
     # The algorithm's own settings of the environment.
     environment: dict[str, Any] = pydantic.Field(default_factory=dict)
-    # So many learners begin one after the other, each with an equal part of the budget, of 655,360
-    # env-steps at least. The best policy of all counts: a team settles early, and at random, on the
-    # order in which it visits ROIs.
+    # At most so many learners begin one after the other. Each has an equal part of the budget, of
+    # 655,360 env-steps at least, and goes on if no policy is perfect then. The best policy of all
+    # counts: a team settles early, and at random, on the order in which it visits ROIs.
     learners: Annotated[int, pydantic.Field(ge=1)] = 1
     # Values of the source that the algorithm has no argument for; without effect.
     skipped: dict[str, Any] = pydantic.Field(default_factory=dict, repr=False)
@@ -174,15 +174,21 @@ class Hyperparameters(pydantic.BaseModel):
 Model = TypeVar("Model", bound=pydantic.BaseModel)
 
 
-def read_blocks(path: Path) -> dict[str, Any]:
+def read_yaml(path: Path) -> dict[str, Any]:
     try:
-        data = path.read_bytes()
-        blocks = parse_yaml(data, str(path))
+        content = parse_yaml(path.read_bytes(), str(path))
     except FieldError as error:
         raise ConfigError(str(path), error.problems) from None
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error}"]) from None
-    if not isinstance(blocks, dict) or not all(isinstance(one, dict) for one in blocks.values()):
+    if not isinstance(content, dict):
+        raise ConfigError(str(path), ["must be a mapping"])
+    return content
+
+
+def read_blocks(path: Path) -> dict[str, Any]:
+    blocks = read_yaml(path)
+    if not all(isinstance(one, dict) for one in blocks.values()):
         raise ConfigError(str(path), ["must be a mapping from names of blocks to mappings"])
     return blocks
 

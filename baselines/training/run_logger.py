@@ -44,6 +44,8 @@ FINAL_TIMES = 10
 # The folder of the best policy so far in a checkpoint.
 BEST = "best"
 NO_POLICY = [0.0, 0.0, 0]
+# A learner begins if so many env-steps are left for it.
+LEAST_STEPS = 655_360
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class Report:
     finished: bool = False
     # Of training, evaluations excluded.
     steps_per_second: float = 0.0
-    # Of the last fresh evaluation, if there was one: share of successes, and their mean length.
+    # Of the last evaluation, if there was one: share of successes, and their mean length.
     success_rate: float | None = None
     makespan: float | None = None
     # Why the run failed.
@@ -108,20 +110,17 @@ def find_wandb() -> ModuleType:
 class EpisodeWindow:
     # Their mean is optimistic, since stuck worlds finish rarely: results are of fresh evaluations.
     def __init__(self) -> None:
-        self._returns: list[float] = []
-        self._successes: list[float] = []
+        self._episodes: list[tuple[float, float]] = []
 
     def add(self, returns: Iterable[float], successes: Iterable[float]) -> None:
-        self._returns += map(float, returns)
-        self._successes += map(float, successes)
+        self._episodes += zip(returns, successes, strict=True)
 
     def pop(self) -> dict[str, float]:
-        count, returns = float(len(self._returns)), np.asarray(self._returns or [np.nan])
-        rate = float(np.mean(self._successes or [np.nan]))
-        self._returns, self._successes = [], []
+        count, some = float(len(self._episodes)), self._episodes or [(np.nan, np.nan)]
+        (returns, successes), self._episodes = np.array(some, float).T, []
         names = ("mean", "std", "min", "max")
         row = {f"return_{name}": float(getattr(returns, name)()) for name in names}
-        return {"episodes": count, **row, "success_rate": rate}
+        return {"episodes": count, **row, "success_rate": float(successes.mean())}
 
 
 class Recorder:
@@ -139,6 +138,7 @@ class Recorder:
         # Then the trainer should call save_checkpoint as soon as it is between two updates.
         self.checkpoint_due = False
         self._folder, self._task, self._listener = folder, task, listener
+        self._budget = task.config.steps
         self._name = task.config.name
         self._diagnostics: Mapping[str, float] = {}
         self._started_at = self._wall_started_at = 0.0
@@ -174,6 +174,19 @@ class Recorder:
         """Record another learner; it counts its env-steps from 0."""
         self._task = task
 
+    @property
+    def left(self) -> int:
+        """The env-steps that the learners that have ended have left."""
+        return self._budget - self.began
+
+    def goes_on(self, env_steps: int, *, begun: bool) -> bool:
+        """Return whether a learner has steps left: its part, then all while others would fail."""
+        # The next learner begins as soon as a policy is perfect, if enough is left for it. One that
+        # is still at the first stage of its curriculum is stuck: the next one does better.
+        rest = self.left - env_steps
+        needed = self._best[0] < 1.0 or rest < LEAST_STEPS
+        return env_steps < self._task.config.steps or (rest > 0 and begun and needed)
+
     def scalars(self, env_steps: int, values: Mapping[str, float]) -> None:
         """Log numbers of a step of the run: those of all its learners are counted."""
         for name, value in values.items():
@@ -193,8 +206,7 @@ class Recorder:
     ) -> None:
         # ``diagnostics`` are numbers for progress.csv, with the same names every time.
         self._diagnostics = diagnostics
-        config = self._task.config
-        every, last = config.evaluate_every, env_steps >= config.steps
+        every, last = self._task.config.evaluate_every, not self.goes_on(env_steps, begun=True)
         env_steps += self.began
         evaluation_due = env_steps // every > self._last_row // every and not last
         if env_steps - self._last_row < ROW_STEPS and not evaluation_due:
@@ -206,7 +218,7 @@ class Recorder:
         due = self.checkpoint_due or evaluation_due or slow
         self.checkpoint_due = due and not last
         if not last:
-            self._report(env_steps)
+            self._report(env_steps, self._evaluations[-1] if self._evaluations else {})
         self.start()
 
     def save_checkpoint(
@@ -233,7 +245,8 @@ class Recorder:
         self.began += env_steps
         if self.began > self._last_row:
             self._write_row(self.began)
-        self._evaluate_on_the_way(self.began, policy)
+        if not self._evaluations or self._evaluations[-1]["env_steps"] < self.began:
+            self._evaluate_on_the_way(self.began, policy)
         self.checkpoint, self.learner = None, self.learner + 1
 
     def conclude(self) -> None:
@@ -249,7 +262,7 @@ class Recorder:
         results = {"stochastic": sampled.to_json(), "deterministic": mean.to_json()}
         kept = {"policy_env_steps": self._best[-1]}
         self._folder.finish({**self._times(env_steps), **kept, **results})
-        self._report(env_steps, finished=True)
+        self._report(env_steps, sampled.summary(), finished=True)
 
     def _write_row(self, env_steps: int) -> None:
         self._stop()
@@ -304,8 +317,7 @@ class Recorder:
         self.scalars(env_steps, {f"evaluation/{name}": entry[name] for name in names})
         write_json(self._folder.path / "evaluations.json", self._evaluations)
 
-    def _report(self, env_steps: int, *, finished: bool = False) -> None:
-        last = self._evaluations[-1] if self._evaluations else {}
+    def _report(self, env_steps: int, found: Mapping[str, Any], *, finished: bool = False) -> None:
         speed = env_steps / self._seconds if self._seconds else 0.0
-        results = (last.get(name) for name in ("success_rate", "makespan"))
+        results = (found.get(name) for name in ("success_rate", "makespan"))
         self._listener(Report(self._name, env_steps, finished, speed, *results))

@@ -15,14 +15,12 @@ from baselines.policies.policy import acts_on
 from baselines.runs.files import RunError, alone, check_text, claim_folder, is_untouched
 from baselines.runs.folder import RunFolder
 from baselines.training.config import DivergenceError, Hyperparameters, Task, TrainConfig
-from baselines.training.run_logger import Listener, Recorder, find_wandb
+from baselines.training.run_logger import LEAST_STEPS, Listener, Recorder, find_wandb
 from mbn_marl.config import expand, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, MbnError, collecting
 from mbn_marl.field import Field, FieldSampler, load_fields
 
-# Learners share a budget as long as each has so many env-steps.
-LEAST_STEPS = 655_360
 # The hyperparameters that decide which networks there are.
 NETWORK = ("actor", "network", "hidden", "sharing")
 
@@ -60,7 +58,11 @@ def train(
         if not run.finished:
             try:
                 recorder = Recorder(run, task, listener, wandb)
-                for part in parts_of(task, hyperparameters)[recorder.learner :]:
+                seeds = seeds_of(config, hyperparameters)
+                while recorder.learner < len(seeds) and recorder.left > 0:
+                    seed, steps = seeds[recorder.learner], recorder.left
+                    steps = -(-steps // (len(seeds) - recorder.learner))
+                    part = replace(task, config=replace(config, steps=steps, seed=seed))
                     recorder.begin(part)
                     algorithm.train(part, hyperparameters, recorder)
                 recorder.conclude()
@@ -83,10 +85,11 @@ def notes(config: TrainConfig) -> list[str]:
         f"skipped: {argument} = {value}, since {name} has no such argument"
         for argument, value in hyperparameters.skipped.items()
     ]
-    parts = parts_of(task, hyperparameters)
-    budget = find_algorithm(name).budget(parts[0], hyperparameters)
-    if (whole := budget.env_steps * len(parts)) > steps:
-        bound = "" if budget.exact else "up to "
+    count = len(seeds_of(config, hyperparameters))
+    part = replace(task, config=replace(config, steps=-(-steps // count)))
+    budget = find_algorithm(name).budget(part, hyperparameters)
+    if (whole := budget.env_steps * count) > steps:
+        bound = "" if budget.exact and count == 1 else "up to "
         lines.append(
             f"steps: {name} learns from whole {budget.unit}, so this run takes "
             f"{bound}{whole:,} env-steps, not {steps:,}"
@@ -94,13 +97,11 @@ def notes(config: TrainConfig) -> list[str]:
     return lines
 
 
-def parts_of(task: Task, hyperparameters: Hyperparameters) -> list[Task]:
-    """Return the task of each learner of a run: a share of the budget, and a seed of its number."""
-    config = task.config
+def seeds_of(config: TrainConfig, hyperparameters: Hyperparameters) -> list[int]:
+    """Return a seed for each learner of a run: its own, and others of their number."""
     count = max(1, min(hyperparameters.learners, config.steps // LEAST_STEPS))
     more = [np.random.SeedSequence((config.seed, k)).generate_state(1) for k in range(1, count)]
-    seeds, steps = [config.seed, *(int(seed) for (seed,) in more)], -(-config.steps // count)
-    return [replace(task, config=replace(config, steps=steps, seed=seed)) for seed in seeds]
+    return [config.seed, *(int(seed) for (seed,) in more)]
 
 
 def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:

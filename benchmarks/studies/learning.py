@@ -12,11 +12,10 @@ from tyro.conf import Positional
 from baselines.cli.compare import WRITTEN, train_and_compare
 from baselines.cli.options import CORES
 from baselines.compare.variants import CompareConfig, labelled
-from baselines.training.config import validate
+from baselines.training.config import read_yaml, validate
 from benchmarks.report import Benchmark
 from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import catalogue_names
-from mbn_marl.field.files import parse_yaml
 
 STUDIES = sorted(path.stem for path in Path(__file__).parent.glob("*.yaml"))
 STEPS = 1_441_792  # env-steps of a run
@@ -29,7 +28,7 @@ class Plan(BaseModel):
 
     fields: tuple[str, ...] = tuple(catalogue_names())
     tier: str | None = None  # of random fields
-    seeds: tuple[int, ...]  # 200 and up, where nothing was tuned
+    seeds: tuple[int, ...]  # 220 and up, where nobody looked
     steps: int = STEPS
     evaluate_every: int = 65_536
     variants: dict[str, dict[str, Any]]  # the values of ``Variant``, by label
@@ -58,24 +57,18 @@ class Study(Benchmark):
     def folder(self) -> Path:
         return self.out or Path(f"runs/bench-{self.study}")
 
-    @property
-    def plan(self) -> Plan:
+    def config(self) -> CompareConfig:
         if self.study not in STUDIES:
             raise ConfigError("study", [f"{self.study}: {unknown('study', self.study, STUDIES)}"])
         given = {name: getattr(self, name) for name in ("fields", "seeds", "steps")}
         path = Path(__file__).with_name(f"{self.study}.yaml")
-        values: Any = parse_yaml(path.read_bytes(), str(path))
-        asked = {**values, **{name: value for name, value in given.items() if value}}
+        asked = read_yaml(path) | {name: value for name, value in given.items() if value}
         plan = validate(Plan, asked, str(path))
         # A field may be a file in this folder.
         here = ((name, path.parent / name) for name in plan.fields)
         fields = tuple(str(file) if file.is_file() else name for name, file in here)
-        return plan.model_copy(update={"fields": fields})
-
-    def config(self) -> CompareConfig:
-        plan = self.plan
         variants = labelled(plan.variants, self.study)
-        return CompareConfig(variants, **plan.model_dump(exclude={"variants"}))
+        return CompareConfig(variants, fields, **plan.model_dump(exclude={"variants", "fields"}))
 
     def run(self, command: str) -> bool:
         options = {name: getattr(self, name) for name in ("processes", "force", "resume")}

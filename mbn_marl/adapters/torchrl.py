@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import torch
@@ -24,17 +24,6 @@ FLAGS = ("terminated", "truncated", "done")
 
 Rows = NDArray[Any] | torch.Tensor
 """An array of the engine, which is a tensor on CUDA."""
-
-
-class _Outcome(NamedTuple):
-    """The outcome of a step or a reset: the engine's observations and copies of the rest."""
-
-    observations: Rows  # (W, n, obs_size)
-    terminated: torch.Tensor  # (W,) bool
-    truncated: torch.Tensor  # (W,) bool
-    team_reward: torch.Tensor  # (W,)
-    metrics: torch.Tensor  # (count, W) float32
-    rewards: torch.Tensor  # (W, n); a reset has none
 
 
 class NavigationEnv(EnvBase):
@@ -135,7 +124,6 @@ class NavigationEnv(EnvBase):
         self._state, self._team_reward, self._measures = state, team_reward, tuple(metrics)
         self._drawn = tuple(f"drawn/{name}" for name in self.engine.config.drawn if metrics)
         self._metrics = self._measures + self._drawn
-        self._no_rows = torch.zeros(0, num_worlds, device=self.device)
         self.n_agents = self.engine.n_robots
         self.group_map = {GROUP: [f"robot_{i}" for i in range(self.n_agents)]}
         self._next_seed: int | None = None
@@ -195,9 +183,7 @@ class NavigationEnv(EnvBase):
                 observations = self.engine.reset(seed=self._next_seed)
             self._next_seed, self._loaded = None, False
         flags = torch.zeros(self.engine.num_worlds, dtype=torch.bool, device=self.device)
-        team = self._tensor(self.engine.team_rewards)
-        nothing = _Outcome(observations, flags, flags, team, self._rows(), self._no_rows)
-        return self._entries(nothing)
+        return self._entries(observations, flags, flags)
 
     def save_state(self) -> dict[str, NDArray[Any]]:
         return self.engine.save_state()
@@ -233,41 +219,29 @@ class NavigationEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         mask = tensordict.get("_step", None)
-        active = None if mask is None else mask.reshape(-1)
+        active = None if mask is None else self._give(mask.reshape(-1))
         actions = self._give(tensordict.get((GROUP, "action")))
-        outcome = self._advance(actions, active)
-        made = self._entries(outcome)
-        made[GROUP, "reward"] = outcome.rewards.unsqueeze(-1)
+        observations, rewards, *ended = self.engine.step(actions, active)
+        made = self._entries(observations, *map(self._tensor, ended))
+        made[GROUP, "reward"] = self._tensor(rewards).unsqueeze(-1)
         return made
 
-    def _advance(self, actions: Rows, active: torch.Tensor | None) -> _Outcome:
-        engine = self.engine
-        mask = None if active is None else self._give(active)
-        observations, rewards, terminated, truncated = engine.step(actions, mask)
-        return _Outcome(
-            observations,
-            self._tensor(terminated),
-            self._tensor(truncated),
-            self._tensor(engine.team_rewards),
-            self._rows(),
-            self._tensor(rewards),
-        )
-
     def _rows(self) -> torch.Tensor:
+        """Return the metrics and the drawn numbers, (count, W) float32; there is at least one."""
         known = [*self.engine.metrics(self._measures).values()]
         known += self.engine.drawn().values() if self._drawn else []
-        if not known:
-            return self._no_rows
         if self.engine.device == "cuda":
             return torch.stack([torch.as_tensor(row).float() for row in known])
         return torch.from_numpy(np.array(known, np.float32)).to(self.device)
 
-    def _entries(self, outcome: _Outcome) -> TensorDict:
+    def _entries(
+        self, observations: Rows, terminated: torch.Tensor, truncated: torch.Tensor
+    ) -> TensorDict:
         worlds = self.batch_size
-        robots = {"observation": self._tensor(outcome.observations)}
+        robots = {"observation": self._tensor(observations)}
         if self.engine.may_rest:
             robots["mask"] = self._fresh(self.engine.working)
-        flags = (outcome.terminated, outcome.truncated, outcome.terminated | outcome.truncated)
+        flags = (terminated, truncated, terminated | truncated)
         entries: dict[str, Any] = {
             name: flag.unsqueeze(-1) for name, flag in zip(FLAGS, flags, strict=True)
         }
@@ -275,9 +249,9 @@ class NavigationEnv(EnvBase):
         if self._state:
             entries["state"] = self._fresh(self.engine.state())
         if self._team_reward:
-            entries["team_reward"] = outcome.team_reward.unsqueeze(-1)
+            entries["team_reward"] = self._tensor(self.engine.team_rewards).unsqueeze(-1)
         if self._metrics:
-            columns = outcome.metrics.unsqueeze(-1).unbind(0)
+            columns = self._rows().unsqueeze(-1).unbind(0)
             metrics = dict(zip(self._metrics, columns, strict=True))
             entries["metrics"] = self._unchecked(metrics, worlds)
         return self._unchecked(entries, worlds)

@@ -94,6 +94,7 @@ class BatchEngine:
         n_robots: n, the most robots in a world.
         n_rois: m, the most ROIs in a world.
         teams_vary: whether a world may have fewer than n robots.
+        has_kinds: whether a field has kinds of ROIs, and observations say which are the robot's.
         arena: width and height, units.
         observation_table: the entries of a robot's observation.
         obs_size: how many there are.
@@ -141,7 +142,8 @@ class BatchEngine:
         self.num_worlds, self.n_robots, self.device = num_worlds, n, device
         self.first_world, self.n_rois, self.arena = first_world, sizes.rois, sizes.arena
         self.dtype = np.dtype(config.dtype)
-        table = observation_table(config, n, self.n_rois, self.arena, vary)
+        self.has_kinds = sizes.kinds
+        table = observation_table(config, n, self.n_rois, self.arena, vary, sizes.kinds)
         self.observation_table, self.obs_size = table, len(table)
         self.observation_low = np.array([entry.low for entry in table], np.float32)
         self.observation_high = np.array([entry.high for entry in table], np.float32)

@@ -29,6 +29,7 @@ from mbn_marl.engine.mdp.disturbances import change_gust, disturbs_actions, send
 from mbn_marl.engine.mdp.drawn_numbers import numbers_of
 from mbn_marl.engine.mdp.dynamics import keep_heading, propose_move
 from mbn_marl.engine.mdp.failures import ABSENT, may_rest, status_of
+from mbn_marl.engine.mdp.kinds import is_mine
 from mbn_marl.engine.mdp.knowledge import learn
 from mbn_marl.engine.mdp.observations import observe
 from mbn_marl.engine.mdp.rewards import FORMAL, RELEASED
@@ -141,7 +142,7 @@ def mark_visits(p, g, now, out, i, lo, hi):
             bit = field.roi_bits[j, f]
             dx, dy = now.x[i, w] - field.rois[0, j, f], now.y[i, w] - field.rois[1, j, f]
             near = events.within(dx, dy, numbers_of(p, now, w).roi_squared)
-            near &= not failures.is_gone(p, now, i, w)
+            near &= is_mine(g, i, j, w) & (not failures.is_gone(p, now, i, w))
             new = near & ((now.visited[w] & bit) == 0)
             now.visited[w] |= bit if new else 0
             # The upper bits of the event word count ROIs, so adding leaves the flags alone.

@@ -12,6 +12,7 @@ from mbn_marl.config import LIMITS, NavigationConfig
 from mbn_marl.engine.mdp.drawn_numbers import make_ranges
 from mbn_marl.engine.mdp.dynamics import DYNAMICS, POINT_MASS
 from mbn_marl.engine.mdp.entities import SCALES
+from mbn_marl.engine.mdp.kinds import has_kinds
 from mbn_marl.engine.mdp.lidar import rays_of
 from mbn_marl.engine.mdp.observations import WITH_RAYS
 from mbn_marl.engine.mdp.paths import Paths, make_paths, no_paths
@@ -32,18 +33,20 @@ class Sizes(NamedTuple):
     robots: int
     fewest_robots: int
     arena: tuple[float, float]
+    kinds: bool
 
 
 def sizes_of(source: FieldSource) -> Sizes:
     if isinstance(source, FieldSampler):
         fewest, most = source.robots
-        return Sizes(source.most_edges, source.rois[1], most, fewest, source.arena)
+        return Sizes(source.most_edges, source.rois[1], most, fewest, source.arena, False)
     edges, rois, teams = (
         [len(getattr(field, name)) for field in source] or [1]
         for name in ("edges", "rois", "starts")
     )
     arena = source[0].arena if source else (1.0, 1.0)
-    return Sizes(max(edges), max(rois), max(teams), min(teams), arena)
+    kinds = any(field.roi_kinds for field in source)
+    return Sizes(max(edges), max(rois), max(teams), min(teams), arena, kinds)
 
 
 def make_geometry(
@@ -60,7 +63,7 @@ def make_geometry(
     sampler = source if isinstance(source, FieldSampler) else None
     fields = () if isinstance(source, FieldSampler) else source
     sizes = sizes_of(source)
-    tables = make_tables(sizes.edges, sizes.rois, n, len(fields) or worlds)
+    tables = make_tables(sizes.edges, sizes.rois, n, len(fields) or worlds, sizes.kinds)
     for f, field in enumerate(fields):
         write_field(tables, f, field, starts_of(field, n, config, teams_vary, given_starts))
     tables = rounded(tables, np.dtype(config.dtype))
@@ -147,6 +150,9 @@ def write_field(t: Tables, f: int, field: Field, starts: Array) -> None:
     t.boxes[:2, f] = field.vertices.min(axis=0)
     t.boxes[2:, f] = np.ptp(field.vertices, axis=0)
     t.robots_in[f] = len(starts)
+    if len(t.mine):
+        mine = field.mine[: len(t.mine)] @ t.roi_bits[:own, f]
+        t.mine[:, f], t.mine[: len(mine), f] = t.codes[f], mine
 
 
 def column_of(
@@ -154,7 +160,8 @@ def column_of(
 ) -> tuple[Tables, Paths]:
     """The tables of a field, with one column; as large as those of ``g``, or larger."""
     (_, most_edges, _), n = g.field.edges.shape, g.field.starts.shape[1]
-    tables = make_tables(max(len(field.edges), most_edges), g.field.rois.shape[1], n, 1)
+    sizes = max(len(field.edges), most_edges), g.field.rois.shape[1], n
+    tables = make_tables(*sizes, 1, has_kinds(g))
     write_field(tables, 0, field, starts_of(field, n, config, teams_vary, starts))
     tables = rounded(tables, np.dtype(config.dtype))
     return tables, paths_of(tables, None, config)

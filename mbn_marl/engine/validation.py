@@ -115,6 +115,8 @@ def set_field_problems(
     if len(field.rois) > sizes.rois:
         allowed = f"at most {sizes.rois}, those that observations have entries for"
         problems.append(f"field: {field.name} has {len(field.rois)} ROIs; allowed: {allowed}")
+    if field.roi_kinds and not sizes.kinds:
+        problems.append(f"field: {field.name} has kinds; allowed: with fields that had some before")
     if team > n:
         problems.append(f"field: {field.name} has {team} starts; allowed: at most {n}")
     return problems
@@ -239,11 +241,15 @@ def field_problems(
         small = f"{field.name}: {sides[0]:.3g} x {sides[1]:.3g} units, smaller than an ROI's radius"
         warnings.warn(f"{small}; 'mbn fields --from' reads a map in degrees", stacklevel=2)
     room = int(field.polygon.area / (2 * max(config.safety_distance, 1.0)) ** 2)
+    room = 0 if field.roi_kinds else room  # more robots than starts have no kind
     random = config.random_starts and n <= room
-    if given_starts is None and n > len(field.starts) and not random:
+    if (given_starts is None or field.roi_kinds) and n > len(field.starts) and not random:
         allowed = f"1 to {len(field.starts)}, the starts of {field.name}"
         allowed += f", or to {room} with random_starts" if room > len(field.starts) else ""
         problems.append(f"n_robots: {n}; allowed: {allowed}")
+    for j in np.flatnonzero(~field.mine[:n].any(axis=0)).tolist():
+        kind = f"one of kind {field.roi_kinds[j]}, for rois[{j}] of {field.name}"
+        problems.append(f"n_robots: {n} robots; allowed: with {kind}")
     if field.arena != arena:
         problems.append(f"field: {field.name} has arena {field.arena}; allowed: {arena}")
     starts = field.starts[:n] if given_starts is None else given_starts.astype(np.float64)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import shapely
 
-from mbn_marl.field.schema import DEFAULT_ARENA, FORMAT, check
+from mbn_marl.field.schema import DEFAULT_ARENA, FORMAT, KINDS, check
 
 Points = Sequence[Sequence[float]] | npt.NDArray[Any]
 """A list of ``(x, y)``, or an array of shape (k, 2)."""
@@ -34,6 +34,9 @@ class Field:
             least its ``safety_distance`` apart. There can be up to s robots.
         holes: obstacles, at most 64, each a list of corners (k, 2) in units; inside the outline,
             touching neither it nor another hole.
+        roi_kinds: for each ROI the kind of the robots that may visit it, from 0 on; ``None``: all
+            may. No kinds by default.
+        start_kinds: for each start the kind of its robot; given if ``roi_kinds`` is.
         arena: width and height in units; everything is in ``[0, width] x [0, height]``.
         name: 1 to 64 letters, digits, ``_``, ``.`` or ``-``.
         optimal_makespan: the proved least number of steps in which robots on all the starts visit
@@ -57,6 +60,8 @@ class Field:
     name: str
     optimal_makespan: int | None
     polygon: shapely.Polygon
+    roi_kinds: tuple[int | None, ...]
+    start_kinds: tuple[int, ...]
     _key: str
 
     def __init__(
@@ -66,6 +71,8 @@ class Field:
         starts: Points,
         holes: Sequence[Points] = (),
         *,
+        roi_kinds: Sequence[int | None] = (),
+        start_kinds: Sequence[int] = (),
         arena: Sequence[float] = DEFAULT_ARENA,
         name: str = "custom",
         optimal_makespan: int | None = None,
@@ -74,6 +81,7 @@ class Field:
             {
                 **{"format": FORMAT, "vertices": vertices, "rois": rois, "starts": starts},
                 **{"holes": holes, "arena": arena, "name": name},
+                **{"roi_kinds": roi_kinds, "start_kinds": start_kinds},
                 "optimal_makespan": optimal_makespan,
             },
             "field",
@@ -84,6 +92,7 @@ class Field:
         edges = [(*a, *b) for ring in rings for a, b in pairwise([*ring, ring[0]])]
         values |= {
             **arrays,
+            **{name: tuple(values[name]) for name in KINDS},
             "holes": tuple(map(_constant, values["holes"])),
             "edges": _constant(edges),
             "polygon": shapely.Polygon(rings[0], rings[1:]),
@@ -91,6 +100,13 @@ class Field:
         }
         for attribute, value in values.items():
             object.__setattr__(self, attribute, value)
+
+    @property
+    def mine(self) -> npt.NDArray[np.bool_]:
+        """Flags (s, m): whether the robot of each start may visit each ROI."""
+        kinds = self.roi_kinds or (None,) * len(self.rois)
+        teams = self.start_kinds or (0,) * len(self.starts)
+        return np.array([[kind in (None, own) for kind in kinds] for own in teams])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the field's arguments as plain lists, numbers and strings."""
@@ -102,6 +118,7 @@ class Field:
             "holes": [hole.tolist() for hole in self.holes],
             "rois": self.rois.tolist(),
             "starts": self.starts.tolist(),
+            **{name: list(kinds) for name in KINDS if (kinds := getattr(self, name))},
         }
 
     def __eq__(self, other: object) -> bool:

@@ -29,6 +29,7 @@ MAX_HOLES = 64
 MAX_NAME = 64
 POINT_DEPTH = {"arena": 1, "holes": 3}
 """The places of points are so long; 2 in other lists."""
+KINDS = "roi_kinds", "start_kinds"
 ROUNDING = 1e-9
 """ROIs and starts may be so far outside, as a share of the outline's longer side."""
 
@@ -49,6 +50,7 @@ _Side = Annotated[float, Described(gt=0.0, le=MAX_COORDINATE), NOT_A_WORD]
 _List = BeforeValidator(_plain)
 _Point = Annotated[tuple[_Coordinate, _Coordinate], _List]
 _Ring = Annotated[list[_Point], Len(3, MAX_VERTICES), _List]
+_Kind = Annotated[int, Described(ge=0, lt=MAX_ROBOTS), NOT_A_WORD]
 
 
 class FieldFile(BaseModel):
@@ -83,6 +85,12 @@ class FieldFile(BaseModel):
     starts: Annotated[list[_Point], Len(1, MAX_ROBOTS), _List] = Described(
         description="Starts of the robots, at least the safety distance (10 by default) apart."
     )
+    roi_kinds: Annotated[list[_Kind | None], Len(0, MAX_ROIS), _List] = Described(
+        default=[], description="For each ROI the kind of the robots that it is for; null: all."
+    )
+    start_kinds: Annotated[list[_Kind], Len(0, MAX_ROBOTS), _List] = Described(
+        default=[], description="For each start the kind of its robot, if there are kinds."
+    )
 
 
 def json_schema() -> dict[str, Any]:
@@ -106,7 +114,7 @@ def check(document: Mapping[str, Any], source: str) -> dict[str, Any]:
         problems = [_with_place(line) for line in describe(error, FieldFile)]
         bad = {one["loc"] for one in error.errors()}
         values = {key: _readable(value, bad, (key,)) for key, value in document.items()}
-    problems += _geometry_problems(values)
+    problems += [*_geometry_problems(values), *_kind_problems(values)]
     if problems:
         raise FieldError(source, problems)
     return values
@@ -154,6 +162,19 @@ def _geometry_problems(values: Mapping[str, Any]) -> Iterator[str]:
         for k, point in enumerate(entries):
             for problem in _outside(shapely.Point(point), outline, sound) if point else ():
                 yield f"{label}[{k}]: {point} is {problem}"
+
+
+def _kind_problems(values: Mapping[str, Any]) -> Iterator[str]:
+    of_rois, of_starts = (values.get(name) for name in KINDS)  # None if they are not readable
+    for name, kinds in (("roi", of_rois), ("start", of_starts)):
+        points = values.get(f"{name}s")
+        if kinds is None or points is None or not (of_rois or of_starts):
+            continue
+        if len(kinds) != len(points):
+            yield f"{name}_kinds: {len(kinds)} of them; allowed: {len(points)}, as many as {name}s"
+    for j, kind in enumerate(of_rois or []):
+        if kind is not None and of_starts is not None and kind not in of_starts:
+            yield f"roi_kinds[{j}]: {kind}; allowed: a kind of start_kinds, or None for all robots"
 
 
 def _point_problems(label: str, points: list[Any], width: float, height: float) -> Iterator[str]:

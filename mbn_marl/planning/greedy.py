@@ -6,7 +6,6 @@ an action only if it could then brake (:class:`~mbn_marl.planning.shield.Cautiou
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
@@ -72,7 +71,7 @@ class Greedy(Cautious):
             return
         self.settled = key
         self.roadmap = clear_roadmap(self.problem, positions, parked)
-        self.queues = assign(self.roadmap, works, visited)
+        self.queues = assign(self.roadmap, works, visited, self.problem.mine)
 
     def _wishes(self, i: int, position: Floats, visited: Flags) -> list[Floats]:
         left = [j for j in self.queues[i] if not visited[j]]
@@ -112,16 +111,19 @@ def clear_roadmap(problem: Problem, positions: Floats, parked: Floats = NOWHERE)
     return make_roadmap(problem.area, places)
 
 
-def assign(roadmap: Roadmap, works: Flags, visited: Flags) -> list[list[int]]:
-    """Return a queue of ROIs for each robot; the earliest possible visit is always added next."""
+def assign(roadmap: Roadmap, works: Flags, visited: Flags, mine: Flags) -> list[list[int]]:
+    """Return a queue of ROIs for each robot; the earliest possible visit is always added next.
+
+    ``mine`` (n, m): whether a robot may visit an ROI.
+    """
     n = len(works)
     at, walked = list(range(n)), np.zeros(n)
     queues: list[list[int]] = [[] for _ in range(n)]
-    left = set(np.flatnonzero(~visited).tolist()) if works.any() else set()
-    while left:
-        options = itertools.product(np.flatnonzero(works).tolist(), left)
+    able = works[:, None] & mine & ~visited
+    while able.any():
+        options = np.argwhere(able).tolist()
         total, i, j = min((walked[i] + roadmap.lengths[at[i], n + j], i, j) for i, j in options)
         queues[i].append(j)
         at[i], walked[i] = n + j, total
-        left.remove(j)
+        able[:, j] = False
     return queues

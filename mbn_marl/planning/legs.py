@@ -66,6 +66,8 @@ def _free_legs(problem: Problem, slack: float, most: int) -> Legs:
                 return math.hypot(*np.maximum(offset - stride * count, 0.0)) <= 2.0 * radius
 
             between[j, k] = between[k, j] = _least(meets, most)
+    # A set of ROIs takes at least as long as each of them, so no robot gets another kind's.
+    first[~problem.mine] = NEVER
     return Legs(first, between)
 
 
@@ -94,6 +96,7 @@ def roadmap_legs(problem: Problem, roadmap: Roadmap, radius: float, most: int) -
         for j in range(m):
             far = roadmap.lengths[i, n + j] - radius
             first[i, j] = max(_least(far_by, most, far), 1)
+    first[~problem.mine] = NEVER
     stride = config.top_speed * config.tau
     steps = np.ceil((roadmap.lengths[n : n + m, n : n + m] - 2.0 * radius) / stride - 1e-9)
     between = np.where(steps <= most, np.maximum(steps, 0.0), NEVER).astype(np.int64)

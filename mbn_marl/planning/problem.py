@@ -50,6 +50,7 @@ class Problem:
     starts: Floats  # (n, 2), units
     velocities: Floats  # (n, 2), at the starts, units/step
     rois: Floats  # (m, 2), units
+    mine: NDArray[np.bool_]  # (n, m), whether a robot may visit an ROI
     tops: Floats  # (n,), the speed limits v_clip
     forces: Floats  # (n, 2), the velocity that a full force adds in a step, units/step
     wind: Floats  # (2,), the velocity that the wind adds in a step, units/step
@@ -124,7 +125,7 @@ class Problem:
         return self.others[:, np.minimum(np.arange(steps), self.others.shape[1] - 1)]
 
     def only(self, rois: Sequence[int]) -> Problem:
-        return replace(self, rois=self.rois[list(rois)])
+        return replace(self, rois=self.rois[list(rois)], mine=self.mine[:, list(rois)])
 
     def slack(self, steps: int) -> float:
         """Return how far rounding can move a robot within ``steps`` steps, in units.
@@ -191,6 +192,7 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
         starts=np.array(field.starts[:n]),
         velocities=np.zeros((n, 2)),
         rois=np.array(field.rois),
+        mine=field.mine[:n],
         tops=np.array(limits["v_clip"], float),
         forces=forces,
         wind=wind,

@@ -132,6 +132,7 @@ class Replanner:
                 whole.only(left.tolist()),
                 starts=places[works],
                 velocities=speeds[works],
+                mine=whole.mine[works][:, left],
                 forces=whole.forces[works],
                 tops=whole.tops[works],
                 others=np.array([*ways.values()]) if ways else whole.others,
@@ -148,8 +149,17 @@ class Replanner:
         after = np.diff(path, axis=0) / self.problem.config.tau
         reached = np.concatenate([speeds[None], after])
         efforts = np.diff(reached, axis=0) / self.problem.forces
-        far = np.linalg.norm(path[:, :, None] - self.problem.rois, axis=-1).min(axis=1)
+        far = nearest(self.problem, path)
         return Motion(path, reached, efforts, far.argmin(axis=0), works, self.weather)
+
+
+def nearest(problem: Problem, path: Floats) -> Floats:
+    """Return the least distances, (T, m), from each ROI to robots that may visit it, units.
+
+    ``path`` has the robots' positions, (T, n, 2), units.
+    """
+    apart = np.linalg.norm(path[:, :, None] - problem.rois, axis=-1)
+    return np.asarray(np.where(problem.mine, apart, np.inf).min(axis=1))
 
 
 def search(problem: Problem, margin: float) -> Floats | None:
@@ -193,7 +203,7 @@ def _verified(problem: Problem, paths: Floats, _: NDArray[np.float32]) -> Floats
     i, j = np.triu_indices(len(ways), 1)
     own = i < problem.n  # pairs of robots in the way are not the team's
     apart = np.linalg.norm(ways[i[own]] - ways[j[own]], axis=-1)
-    near = np.linalg.norm(paths[:, :, None] - problem.rois, axis=-1).min(axis=(0, 1))
+    near = nearest(problem, paths.swapaxes(0, 1)).min(axis=0)
     good = (
         shapely.intersects_xy(problem.area, paths[..., 0], paths[..., 1]).all()
         and np.all(apart >= config.safety_distance)

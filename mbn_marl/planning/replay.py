@@ -82,6 +82,7 @@ class Player:
             for j in np.flatnonzero(now.visited & ~seen.visited).tolist():
                 apart = now.positions - now.field.rois[j].astype(now.positions.dtype)
                 near = (apart**2).sum(axis=1) <= now.roi_radius**2
+                near &= now.field.mine[: len(near), j]
                 visits[int(np.argmax(near))].append(j)  # the first robot within reach
                 steps.append(now.step)
             seen = now

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import zlib
 from collections.abc import Iterable
 from contextlib import AbstractContextManager, ExitStack
@@ -12,22 +11,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.errors import MbnError, install
+from mbn_marl.errors import MbnError, load
 from mbn_marl.files import check_ending, replacing
 
-_MOST_FPS = {".gif": 50.0, ".mp4": 120.0}  # a GIF counts hundredths of a second
-_LEAST_FPS = 0.01
+FPS = 20.0  # frames per second
 _SAMPLED = 8  # frames that a GIF's palette is made from; with one, only what moves is stored
 _QUALITY = 8  # of an MP4, out of 10; below it, thin lines fray
 _EVEN = 2  # an MP4's sides are a multiple of this: colour is stored for every second pixel
 
 
 class Mp4Writer(AbstractContextManager["Mp4Writer"]):
-    """Writes an ``.mp4``, of 0.01 to 120 frames per second, in a ``with`` block or until closed."""
+    """Writes an ``.mp4`` in a ``with`` block or until closed."""
 
-    def __init__(self, path: str | Path, fps: float = 20.0) -> None:
-        self.path, self._fps = _checked(path, ".mp4", fps), fps
-        self._ffmpeg = _load("imageio_ffmpeg")
+    def __init__(self, path: str | Path) -> None:
+        self.path = check_ending(Path(path), ".mp4")
+        self._ffmpeg = load("imageio_ffmpeg", "render")
         self.shapes: list[tuple[int, ...]] = []
         self._open = ExitStack()
 
@@ -37,7 +35,7 @@ class Mp4Writer(AbstractContextManager["Mp4Writer"]):
         height, width = (side // _EVEN * _EVEN for side in frame.shape[:2])
         if len(self.shapes) == 1:
             temporary = self._open.enter_context(replacing(self.path))
-            look = {"fps": self._fps, "quality": _QUALITY, "macro_block_size": _EVEN}
+            look = {"fps": FPS, "quality": _QUALITY, "macro_block_size": _EVEN}
             self._writer = self._ffmpeg.write_frames(temporary, (width, height), **look)
             self._open.callback(self._writer.close)
             self._writer.send(None)
@@ -51,8 +49,8 @@ class Mp4Writer(AbstractContextManager["Mp4Writer"]):
         self._open.__exit__(*exception)
 
 
-def write_mp4(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.0) -> Path:
-    with Mp4Writer(path, fps) as writer:
+def write_mp4(frames: Iterable[NDArray[Any]], path: str | Path) -> Path:
+    with Mp4Writer(path) as writer:
         for frame in frames:
             writer.add(np.asarray(frame))
         if not writer.shapes:
@@ -60,9 +58,9 @@ def write_mp4(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.
     return writer.path
 
 
-def write_gif(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.0) -> Path:
-    """Write ``frames`` to a ``.gif`` that loops; ``fps`` is 0.01 to 50, delays are whole 0.01 s."""
-    path, image = _checked(path, ".gif", fps), _load("PIL.Image")
+def write_gif(frames: Iterable[NDArray[Any]], path: str | Path) -> Path:
+    """Write ``frames`` to a ``.gif`` that loops."""
+    path, image = check_ending(Path(path), ".gif"), load("PIL.Image", "render")
     packed: list[bytes] = []
     shapes: list[tuple[int, ...]] = []
     for frame in map(np.asarray, frames):
@@ -81,29 +79,10 @@ def write_gif(frames: Iterable[NDArray[Any]], path: str | Path, fps: float = 20.
         image.fromarray(picture(data)).quantize(palette=palette, dither=image.Dither.NONE)
         for data in packed
     )
-    delay = 10 * round(100.0 / fps)
-    try:
-        with replacing(path) as temporary:
-            next(drawn).save(temporary, save_all=True, append_images=drawn, duration=delay, loop=0)
-    except OverflowError:
-        raise MbnError(f"{path}: equal frames last longer than a GIF allows; raise fps") from None
+    how = {"save_all": True, "append_images": drawn, "duration": round(1000.0 / FPS), "loop": 0}
+    with replacing(path) as temporary:
+        next(drawn).save(temporary, **how)
     return path
-
-
-def _checked(path: str | Path, ending: str, fps: float) -> Path:
-    path = check_ending(Path(path), ending)
-    if not _LEAST_FPS <= fps <= _MOST_FPS[ending]:
-        raise MbnError(f"{path}: fps: {fps}; allowed: {_LEAST_FPS:g} to {_MOST_FPS[ending]:g}")
-    return path
-
-
-def _load(name: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        library = name.split(".")[0]
-        hint = f"animations need {library}: {install('render')}"
-        raise ImportError(hint, name=library) from error
 
 
 def _check_shape(frame: NDArray[Any], shapes: list[tuple[int, ...]], path: Path) -> None:

@@ -47,6 +47,8 @@ def draw_field(
     axes.add_patch(PathPatch(Path.make_compound_path(*rings), **look))
     seen = np.zeros(len(field.rois), bool) if visited is None else visited
     for number, ((x, y), done) in enumerate(zip(field.rois, seen, strict=True), start=1):
+        robots = np.flatnonzero(field.mine[:, number - 1])
+        only = " " + ",".join(map(str, robots)) if len(robots) < len(field.starts) else ""
         colour = style.ROI_VISITED if done else style.ROI_OPEN
         tint = (colour, 0.28 if done else 0.05)
         axes.add_patch(Circle((x, y), roi_radius, fc=tint, ec=colour, lw=0.7, zorder=2))
@@ -55,7 +57,7 @@ def draw_field(
         axes.plot([x], [y], **roi_marker(bool(done)), zorder=4.2, path_effects=halo)
         if numbered:
             axes.annotate(
-                f"$w_{{{number}}}$",
+                f"$w_{{{number}}}${only}",  # and the robots that may visit it, if not all may
                 (x + 0.72 * roi_radius, y + 0.72 * roi_radius),
                 xytext=(1, 0),
                 textcoords="offset points",

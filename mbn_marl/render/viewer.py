@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.errors import ConfigError, DisplayError, install
+from mbn_marl.errors import ConfigError, DisplayError, load
 
 if TYPE_CHECKING:
     import pygame
@@ -65,13 +65,9 @@ class Viewer:
         """Return a new (height, width, 3) uint8 array, or ``None`` and show it in a window."""
         if self._scene is None:
             os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-            try:
-                from mbn_marl.render.scene import Scene
-            except ModuleNotFoundError as error:
-                if error.name != "pygame":
-                    raise
-                hint = f"rendering needs pygame-ce: {install('render')}"
-                raise ImportError(hint, name="pygame") from error
+            load("pygame", "render")
+            from mbn_marl.render.scene import Scene
+
             self._scene = Scene(self.size, self.own, self.keys)
         if self.render_mode == "rgb_array":
             return self._scene.pixels(snapshot)

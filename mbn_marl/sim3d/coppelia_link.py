@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from time import monotonic
 from typing import Any
 
-from mbn_marl.errors import ConfigError, SimulatorError, install
+from mbn_marl.errors import ConfigError, SimulatorError, load
 
 _HINT = "is CoppeliaSim running, with its ZMQ remote API server on this port?"
 _PROBE = 1.0  # seconds that finding out why nobody answers may take
@@ -58,16 +58,12 @@ class CoppeliaLink:
         self._client.context.term()
 
     def _new_client(self) -> Any:
-        try:
-            import zmq
-            from coppeliasim_zmqremoteapi_client import RemoteAPIClient
-        except ModuleNotFoundError as error:
-            hint = f"CoppeliaSim needs its remote API client: {install('sim3d')}"
-            raise ImportError(hint, name=error.name) from error
+        client = load("coppeliasim_zmqremoteapi_client", "sim3d")
+        zmq = load("zmq", "sim3d")
         main = vars(sys.modules["__main__"])
         kept = {name: main[name] for name in main.keys() & {"require"}}
         try:
-            return RemoteAPIClient(*self._place, verbose=0)
+            return client.RemoteAPIClient(*self._place, verbose=0)
         except zmq.ZMQError as error:
             raise SimulatorError(f"{self._address}: {error}") from error
         finally:  # the client puts a function of this name into the user's script

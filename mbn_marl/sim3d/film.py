@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.errors import ConfigError, MbnError, install
+from mbn_marl.errors import ConfigError, MbnError, load
 from mbn_marl.render import style
-from mbn_marl.render.animation import Mp4Writer
+from mbn_marl.render.animation import FPS, Mp4Writer
 from mbn_marl.sim3d.scene import PICTURE
 
 CAMERAS = ("field", "top", "chase")
-FPS, SPEED = 20.0, 2.0  # frames per second, and the seconds of the mission in one of the film
+SPEED = 2.0  # the seconds of the mission in one of the film
 REST = 20  # frames that a film rests on its end
 PATH_HEIGHT, PATH_WIDTH, APART = 0.03, 0.05, 0.1  # of a path, and between two of its points, metres
 MOST_SHAPES = 20_000
@@ -33,7 +33,7 @@ class Film:
     def __init__(self, path: str | Path, camera: str = "field") -> None:
         if camera not in CAMERAS:
             raise ConfigError("film", [f"camera: {camera!r}; allowed: {', '.join(CAMERAS)}"])
-        self._writer, self._camera = Mp4Writer(path, FPS), camera
+        self._writer, self._camera = Mp4Writer(path), camera
         self._renderer: Any = None
         self._begun = False
 
@@ -97,11 +97,7 @@ def load_mujoco() -> Any:
     late = headless and "MUJOCO_GL" not in os.environ and "mujoco" in sys.modules
     if headless:
         os.environ.setdefault("MUJOCO_GL", "egl" if find_library("EGL") else "disable")
-    try:
-        import mujoco
-    except ModuleNotFoundError as error:
-        hint = f"simulating vehicles needs MuJoCo: {install('sim3d')}"
-        raise ImportError(hint, name="mujoco") from error
+    mujoco = load("mujoco", "sim3d")
     if late:
         importlib.reload(sys.modules[mujoco.Renderer.__module__].gl_context)
     return mujoco

@@ -91,11 +91,9 @@ class Simulator(AbstractContextManager["Simulator"]):
     def motion(self) -> Motion:
         """Return the vehicles now; fresh arrays."""
 
-    @abstractmethod
     def spray(self, roi: int) -> None:
         """Show that the weed at an ROI, 0 to m - 1, has been sprayed."""
 
-    @abstractmethod
     def close(self) -> None:
         """Free what the simulator holds; closing twice does no harm."""
 
@@ -123,9 +121,3 @@ class PlaneSimulator(Simulator):
     def motion(self) -> Motion:
         heights = np.zeros(len(self._positions))
         return Motion(self._positions.copy(), self._velocities.copy(), heights)
-
-    def spray(self, roi: int) -> None:
-        pass
-
-    def close(self) -> None:
-        pass

@@ -11,7 +11,6 @@ import pettingzoo
 import pytest
 from gymnasium.wrappers import TimeAwareObservation
 from stable_baselines3.common.vec_env import VecVideoRecorder
-from supersuit import frame_skip_v0
 from torchrl.envs import GymEnv
 
 from mbn_marl import parallel_env, registration
@@ -63,19 +62,6 @@ def test_stable_baselines_films_one_world(kind, tmp_path, monkeypatch) -> None:
     assert np.array_equal(env.recorded_frames[0], alone.render())
     assert env.frames_per_sec == RENDER_FPS
     env.recorded_frames.clear()
-
-
-def test_supersuit_repeats_actions_by_chance() -> None:
-    env, seen = parallel_env("field_03"), []
-    skipping = frame_skip_v0(env, (1, 4))
-    for seed in (5, 5, 6):
-        skipping.reset(seed=seed)
-        steps = []
-        for _ in range(12):
-            skipping.step(dict.fromkeys(env.agents, np.zeros(2)))
-            steps.append(int(env.engine.metrics()["steps"][0]))
-        seen.append(steps)
-    assert seen[0] == seen[1] != seen[2] and 12 < seen[0][-1] < 48
 
 
 def test_without_a_registry_of_pettingzoo_gymnasiums_is_filled(monkeypatch) -> None:

@@ -169,6 +169,8 @@ COMPILED: dict[str, tuple[str, tuple[int, ...], list[dict[str, Any]]]] = {
     "and entities": ("float32", FEW, [{**DRAWN, **ASSIGNED}]),
     "own": ("float64", FEW, [{**DRAWN, **OWN, "hidden_rois": True, "observation": "entities"}]),
     "own, local": ("float64", FEW, [LOCAL, {**OWN, **HIDDEN}]),
+    "kinds": ("float32", FEW, [{**DRAWN, **ASSIGNED}]),
+    "kinds, own": ("float64", FEW, [LOCAL, {**OWN, **HIDDEN}]),
     "and entities, fresh": ("float32", FEW, [{**DRAWN, **ASSIGNED, "assignment": "fresh"}]),
 }
 *GATE, LAST = COMPILED
@@ -202,6 +204,12 @@ def test_all_forms_agree_with_the_oracle(name: str) -> None:
             which = data.draw(st.integers(0, num_worlds - 1), label="world")
         if own:
             options["decoys"] = (0, min(2, len(world.field.rois) - 1))
+        if name.startswith("kinds"):
+            of_starts, rois = [k % 2 for k in range(n)], len(world.field.rois)
+            kind = st.sampled_from([None, *of_starts])
+            kinds = {"roi_kinds": data.draw(st.lists(kind, min_size=rois, max_size=rois))}
+            kinds |= {"start_kinds": of_starts}
+            world = replace(world, field=Field(**world.field.to_dict() | kinds))
         world = replace(world, settings=world.settings | options)
         seen.update(compare(world, dtype, num_worlds, which))
 

@@ -6,10 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from gymnasium import spaces
 from sb3_contrib import TQC
-from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
@@ -191,23 +189,6 @@ def test_evaluation_reports_true_returns_under_scaling(kind: type[NavigationVecE
     robots = ROBOTS if kind is CentralizedVecEnv else 1
     assert returns == [-610.0 * robots] * 20
     assert lengths == [7] * 20
-
-
-def train(kind: type[NavigationVecEnv], seed: int) -> PPO:
-    torch.set_num_threads(1)
-    env = VecNormalize(kind("field_03", 4, **LIVELY))
-    options = {"n_steps": 32, "batch_size": 64, "n_epochs": 2, "device": "cpu"}
-    return PPO("MlpPolicy", env, seed=seed, **options).learn(32 * env.num_envs * 2)
-
-
-@pytest.mark.slow
-@BOTH
-def test_seeded_ppo_gives_bit_equal_weights(kind: type[NavigationVecEnv]) -> None:
-    first, again, other = (train(kind, seed) for seed in (0, 0, 1))
-    weights = [list(model.policy.parameters()) for model in (first, again, other)]
-    assert all(torch.equal(a, b) for a, b in zip(*weights[:2], strict=True))
-    assert not all(torch.equal(a, b) for a, b in zip(*weights[::2], strict=True))
-    assert len(first.ep_info_buffer) > 0 and len(first.ep_success_buffer) > 0
 
 
 @pytest.mark.slow

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 from supersuit import concat_vec_envs_v1, pettingzoo_env_to_vec_env_v1
@@ -20,22 +19,6 @@ def make_env(**settings: object) -> VecEnv:
     return concat_vec_envs_v1(
         pettingzoo_env_to_vec_env_v1(env), WORLDS, num_cpus=0, base_class="stable_baselines3"
     )
-
-
-def make_model(env: VecEnv, seed: int | None = None) -> PPO:
-    return PPO("MlpPolicy", env, seed=seed, n_steps=32, batch_size=64, n_epochs=1, device="cpu")
-
-
-def test_ppo_trains() -> None:
-    torch.manual_seed(0)
-    env = make_env()
-    assert env.num_envs == WORLDS * ROBOTS
-    model = make_model(env)
-    before = [weight.clone() for weight in model.policy.parameters()]
-    model.learn(2 * 32 * env.num_envs)
-    assert model.num_timesteps == 384
-    after = list(model.policy.parameters())
-    assert any((old != new).any() for old, new in zip(before, after, strict=True))
 
 
 def test_rows_are_the_robots_of_each_world() -> None:
@@ -54,7 +37,7 @@ def test_rows_are_the_robots_of_each_world() -> None:
 def test_its_limits() -> None:
     """Of each limit that docs/supersuit.md tells: if one is lifted, change the page."""
     env = make_env(random_starts=True)
-    for call in (lambda: env.seed(0), lambda: make_model(env, seed=0)):
+    for call in (lambda: env.seed(0), lambda: PPO("MlpPolicy", env, seed=0)):
         with pytest.raises(AttributeError):
             call()
     rows = env.reset()  # unseeded copies draw the same starts

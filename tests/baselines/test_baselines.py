@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -9,8 +11,9 @@ from tensordict import TensorDict
 
 from baselines.algorithms import ALGORITHMS
 from baselines.evaluation import intervals as statistics
-from baselines.evaluation.evaluate import evaluate
-from baselines.policies.policy import Policy
+from baselines.evaluation.evaluate import evaluate, is_one_episode
+from baselines.policies.classical import make_classical
+from baselines.policies.policy import Policy, RandomPolicy
 from baselines.sb3 import config as centralized_config
 from baselines.torchrl.networks import (
     GaussianPolicy,
@@ -87,6 +90,24 @@ def test_evaluation_reports_true_returns() -> None:
     result = evaluate(ConstantPolicy(0.0, 0.0), SQUARE, {"max_steps": 4}, episodes=2)
     assert result.returns == [-620.0, -620.0]
     assert (result.summary()["makespan"], result.summary()["success_rate"]) == (None, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("policy", "settings", "deterministic", "one"),
+    [
+        (ConstantPolicy(0.0, 0.0), {}, True, True),
+        (ConstantPolicy(0.0, 0.0), {}, False, False),
+        (ConstantPolicy(0.0, 0.0), {"random_starts": True}, True, False),
+        (ConstantPolicy(0.0, 0.0), {"failures": {"at": {0: 3}}}, True, True),
+        (ConstantPolicy(0.0, 0.0), {"failures": {"at": {0: 3}, "rate": 0.1}}, True, False),
+        (RandomPolicy(), {}, True, False),
+        (make_classical("greedy", SQUARE, {}), {}, False, True),
+    ],
+)
+def test_one_episode_is_enough_if_nothing_is_drawn(
+    policy: Policy, settings: dict[str, Any], deterministic: bool, one: bool
+) -> None:
+    assert is_one_episode(policy, settings, deterministic=deterministic) is one
 
 
 def test_evaluations_are_reproducible_and_leave_torch_alone() -> None:

@@ -24,7 +24,7 @@ from mbn_marl.engine.tables import make_geometry, sizes_of
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import FieldSampler, load_field
 from mbn_marl.field.generator.layout import FAMILIES
-from tests.support.worlds import OWN
+from tests.support.worlds import KINDS, OWN
 
 torch = pytest.importorskip("torch")
 ROOT = Path(__file__).parents[2]
@@ -77,7 +77,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     config = make_config({"dtype": dtype, "n_robots": 3, **settings})
     real = np.dtype(dtype)
     p = constants_of(make_record(config, 3, sizes.arena, "same_step", teams_vary=vary))
-    size = len(observation_table(config, 3, sizes.rois, sizes.arena, vary))
+    size = len(observation_table(config, 3, sizes.rois, sizes.arena, vary, sizes.kinds))
     worlds = 2
     g = make_geometry(source, config, 3, worlds, vary)
     now = make_episode(worlds, 3, config, vary)
@@ -107,7 +107,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     [
         {},
         {"reward": "formal"},
-        {"observation": "lidar_local"},
+        {"observation": "lidar_local", "field": (KINDS,)},
         {"dynamics": "bicycle"},
         {"gust": 0.1, "action_delay": 2, "dropout": 0.1},
         {"dynamics": "bicycle", "failures": {"rate": 0.1}},

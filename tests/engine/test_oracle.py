@@ -16,9 +16,8 @@ STILL = (0.0, 0.0)
 
 
 def make_field(starts, rois=((90.0, 90.0),), vertices=SQUARE, holes=()):
-    return SimpleNamespace(
-        vertices=vertices, rois=rois, starts=starts, holes=holes, arena=(1000.0, 1000.0)
-    )
+    values = {"vertices": vertices, "rois": rois, "starts": starts, "holes": holes}
+    return SimpleNamespace(**values, arena=(1000.0, 1000.0), roi_kinds=())
 
 
 def test_golden_episodes() -> None:

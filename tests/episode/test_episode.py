@@ -25,13 +25,7 @@ from mbn_marl import (
 )
 from mbn_marl.config import make_config
 from mbn_marl.engine import REWARD_TERMS
-from mbn_marl.episode import (
-    EpisodeRecorder,
-    check_episode,
-    load_episode,
-    play,
-    save_episode,
-)
+from mbn_marl.episode import EpisodeRecorder, check_episode, load_episode, play, save_episode
 from mbn_marl.episode.files import CodedArray
 from mbn_marl.errors import ConfigError, EpisodeError, MbnError
 from tests.support.configurations import EVERYTHING

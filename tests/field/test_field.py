@@ -42,9 +42,11 @@ def test_values_are_equal_and_immutable() -> None:
         {"arena": (100, 100)},
         {"name": "other"},
         {"optimal_makespan": 3},
+        {"roi_kinds": (1,), "start_kinds": (1, 0)},
     ):
         assert square(**change) != square()
-    field = square(name="mine", optimal_makespan=24, arena=(200.0, 100.0))
+    kinds = {"roi_kinds": [None], "start_kinds": np.array([3, 0])}
+    field = square(name="mine", optimal_makespan=24, arena=(200.0, 100.0), **kinds)
     for copied in (pickle.loads(pickle.dumps(field)), copy.deepcopy(field)):
         assert copied == field == Field(**json.loads(json.dumps(field.to_dict()))) != "mine"
     with pytest.raises(AttributeError, match="name"):
@@ -86,6 +88,10 @@ INVALID: dict[tuple[str, str], list[Any]] = {
     ],
     ("name", ""): ["../up", "line\n", "", "x" * 65, 7],
     ("optimal_makespan", ""): [0, 2.5, True],
+    ("start_kinds[0]", ""): [[-1, 0], [64, 0], [True, 0], [None, 0]],
+    ("start_kinds", ""): [[0], (), "00"],
+    ("roi_kinds[0]", ""): [[1], [0.5]],
+    ("roi_kinds", ""): [[], [0, None], 0],
 }
 
 
@@ -93,6 +99,8 @@ INVALID: dict[tuple[str, str], list[Any]] = {
 def test_problems_name_the_place(place: str, other: str) -> None:
     name = re.split(r"[.\[]", place)[0]
     without: dict[str, Any] = {"holes": ()} if name in ("vertices", "starts") else {}
+    if name.endswith("kinds"):
+        without = {"roi_kinds": (None,), "start_kinds": (0, 0)}
     for value in INVALID[place, other]:
         given = {name: value} if other.startswith("holes") else {**without, name: value}
         with pytest.raises(FieldError) as caught:

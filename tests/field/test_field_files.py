@@ -103,6 +103,7 @@ class TestFiles:
         "field",
         [
             square(rois=[(1e-7, 0.1 + 0.2), (100 / 3, math.pi)], name="123", optimal_makespan=24),
+            square(roi_kinds=[1], start_kinds=(0, 1)),
             Field(circle(500), [(x / 1.5 + 10, y / 1.5 + 10) for x, y in circle(24)], [(50, 50)]),
         ],
     )

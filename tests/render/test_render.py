@@ -55,10 +55,7 @@ def test_visited_roi_is_filled_and_an_open_one_hollow() -> None:
     assert rows.min() > 250 and columns.max() < 150, "the first ROI is at the lower left"
 
 
-@pytest.mark.parametrize(
-    ("wind", "towards"),
-    [((0.3, 0.0), (0, 1)), ((0.0, 0.3), (-1, 0))],
-)
+@pytest.mark.parametrize(("wind", "towards"), [((0.3, 0.0), (0, 1)), ((0.0, 0.3), (-1, 0))])
 def test_wind_arrow_points_the_way_the_wind_blows(
     wind: tuple[float, float], towards: tuple[int, int]
 ) -> None:

@@ -92,7 +92,7 @@ class Oracle:
         self.max_steps = max_steps
         self.observation, self.assignment, self.one_hot = observation, assignment, one_hot
         self.atlas = Atlas(self.polygon, self.rois) if assignment else None
-        self.token = 9 + 2 * bool(assignment)
+        self.token = 9 + 2 * bool(assignment) + bool(field.roi_kinds)
         self.sensing_radius = sensing_radius
         self.failures, self.failure_rate, self.fails = failures, failure_rate, fails or {}
         telling = {name: more.pop(name) for name in KNOWLEDGE[1:] if name in more}
@@ -133,6 +133,15 @@ class Oracle:
         """Return whether robot i knows that ROI j is visited or empty."""
         return ("done", j) in self.knowledge.words[i] if self.knowledge else self.visited[j]
 
+    def is_mine(self, i: int, j: int) -> bool:
+        kind = self.field.roi_kinds[j] if self.field.roi_kinds else None
+        return kind is None or kind == self.field.start_kinds[i]
+
+    def mine(self, i: int, j: int) -> list[bool]:
+        """The entries that say whether ROI j is for robot i."""
+        there = j < len(self.rois)
+        return [there and self.is_mine(i, j)] if self.field.roi_kinds else []
+
     def is_left(self, i: int, j: int) -> bool:
         found = not self.knowledge or ("found", j) in self.knowledge.words[i]
         return found and not self.is_done(i, j)
@@ -157,13 +166,13 @@ class Oracle:
         step = Step()
         self._fail()
         taken = self.disturbances.arrived(actions)
-        for robot, action in zip(self.robots, taken, strict=True):
+        for i, (robot, action) in enumerate(zip(self.robots, taken, strict=True)):
             step.works.append(not robot.failed)
             step.wall.append(self._move(robot, action, step) and not robot.failed)
             spot = (robot.x, robot.y)
             step.revisit.append(spot in self.stood_on)
             self.stood_on.add(spot)
-            step.reached.append(self._visit(robot, step))
+            step.reached.append(self._visit(i, robot, step))
         self.disturbances.end_step()
         step.all_visited = all(self.visited)
         step.collided = self._any_collision(step)
@@ -185,7 +194,9 @@ class Oracle:
             spots = [(robot.x, robot.y) for robot in self.robots]
             top = float(self.top_speed)
             speeds = [complex(robot.vx, robot.vy) / top for robot in self.robots]
-            self.plan.update(spots, works, left, speeds)
+            rois = range(len(self.rois))
+            mine = [{j for j in rois if self.is_mine(i, j)} for i in range(self.n)]
+            self.plan.update(spots, works, left, speeds, mine)
 
     def observe(
         self, i: int, missing: int = 0, shift: tuple[float, float] = (0.0, 0.0)
@@ -232,7 +243,7 @@ class Oracle:
                 direction = [offset / (math.hypot(*offset) + 1.0)] if lidar else []
                 sight = self._sight(offset, self.sensing_radius, *direction)
                 seen += [is_seen * entries for entries in sight]
-                seen.append(np.array([visited]))
+                seen.append(np.array([visited, *self.mine(i, j)]))
             if lidar:
                 seen.append(self._walls(there, reach))
         if self.one_hot:
@@ -346,13 +357,13 @@ class Oracle:
         robot.x, robot.y = x, y
         return outside
 
-    def _visit(self, robot: Robot, step: Step) -> int:
+    def _visit(self, i: int, robot: Robot, step: Step) -> int:
         """Rule 5. Returns how many ROIs the robot is credited with reaching first."""
         count = 0
         if self.gone(robot):
             return count
         for index, (x, y) in enumerate(self.rois):
-            if not self.visited[index]:
+            if not self.visited[index] and self.is_mine(i, index):
                 distance = math.hypot(robot.x - x, robot.y - y)
                 step.margin = min(step.margin, abs(distance - self.roi_radius))
                 if distance <= self.roi_radius:

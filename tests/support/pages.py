@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from mbn_marl import load_field
 from mbn_marl.config import NavigationConfig
 from mbn_marl.episode import play, save_episode
 
+# The command, as a user calls it.
+MBN = (sys.executable, "-c", "import sys; from baselines.cli import main; sys.exit(main())")
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
 EXTENDING = ROOT / "docs" / "extending.md"

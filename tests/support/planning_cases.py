@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import shapely
@@ -23,7 +24,7 @@ U_SHAPE = Field(
 )
 
 
-def small_field(seed: int, n: int = 2, m: int = 2) -> Field:
+def small_field(seed: int, n: int = 2, m: int = 2, **kinds: Any) -> Field:
     rng = np.random.default_rng(seed)
     outline = shapely.MultiPoint(rng.uniform(0, 1, (8, 2)) * 70.0 + 300.0).convex_hull
     inner = outline.buffer(-0.5)
@@ -31,6 +32,7 @@ def small_field(seed: int, n: int = 2, m: int = 2) -> Field:
         np.array(outline.exterior.coords)[:-1],
         rois=points_within(rng, inner, m, 15.0),
         starts=points_within(rng, inner, n, 11.0),
+        **kinds,
     )
 
 
@@ -68,7 +70,8 @@ def brute_force(
         }
         for owners in itertools.product(robots, repeat=len(rois)):
             shares = [tuple(j for j in rois if owners[j] == i) for i in robots]
-            if all(reach[i, share] for i, share in enumerate(shares)):
+            may = all(field.mine[owners, rois])
+            if may and all(reach[i, share] for i, share in enumerate(shares)):
                 return steps
     raise AssertionError("not within 200 steps")
 

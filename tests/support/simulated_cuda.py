@@ -21,7 +21,7 @@ from mbn_marl.field import FieldSampler
 from mbn_marl.field.generator.layout import FAMILIES
 from tests.engine.test_golden import golden_field
 from tests.golden import Episode, load_episodes
-from tests.support.worlds import ASSIGNED, OWN
+from tests.support.worlds import ASSIGNED, KINDS, OWN
 
 SPREAD = sorted(load_episodes(), key=lambda episode: len(episode.actions))[::18]
 WORLDS = 3  # with two threads in a block: the last block is not full
@@ -131,7 +131,7 @@ HARD: dict[str, Any] = {
 LARGE = FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 8))
 # Each set of features is a program to compile, so there are few.
 CASES: dict[str, dict[str, Any]] = {
-    "local": {"observation": "local", "one_hot": True},
+    "local": {"observation": "local", "one_hot": True, "field": KINDS},
     "formal": {"reward": "formal", "observation": "state", "n_robots": 2},
     "team": {"reward_sharing": "team", "mass": (1.0, 1.5, 2.0), "f_max": 3.0},
     "features, coasting": {

@@ -113,9 +113,14 @@ class Plan:
         self._made = False
 
     def update(
-        self, spots: list[Any], works: list[bool], left: list[int], speeds: list[complex]
+        self,
+        spots: list[Any],
+        works: list[bool],
+        left: list[int],
+        speeds: list[complex],
+        mine: list[set[int]],
     ) -> None:
-        self._spots, self._speeds = spots, speeds
+        self._spots, self._speeds, self._mine = spots, speeds, mine
         self.orders = [[j for j in order if j in left] for order in self.orders]
         failed = any(order and not works[i] for i, order in enumerate(self.orders))
         if failed or self._fresh or not self._made:
@@ -127,7 +132,7 @@ class Plan:
     def _assigned(self, works: list[bool], left: list[int], weight: float) -> list[list[int]]:
         team = [i for i, able in enumerate(works) if able]
         orders: list[list[int]] = [[] for _ in works]
-        new = [*left] if team else []
+        new = [j for j in left if any(j in self._mine[i] for i in team)]
         while new:
             places = [(*self._best_place(team, orders, j, weight), j) for j in new]
             _, orders, j = first_least(places, lambda place: -place[0])
@@ -137,6 +142,8 @@ class Plan:
             for j in itertools.chain(*orders):
                 changes.append(self._best_place(team, orders, j, 1 / 64))
             for i, k in itertools.combinations(team, 2):
+                if self._mine[i] != self._mine[k]:
+                    continue
                 for a in range(len(orders[i]) + 1):
                     for b in range(len(orders[k]) + 1):
                         other = [*orders]
@@ -175,7 +182,7 @@ class Plan:
     ) -> tuple[float, list[list[int]]]:
         without = [[k for k in order if k != j] for order in orders]
         ways = []
-        for i in team:
+        for i in (i for i in team if j in self._mine[i]):
             for at in range(len(without[i]) + 1):
                 longer = [[*order] for order in without]
                 longer[i].insert(at, j)
@@ -219,6 +226,7 @@ def entities(oracle: Any, i: int, there: Any, me: Any, others: list[Any]) -> Ite
             if corner is not None:
                 token[1:8] = [*toward(corner, me.position)[:-1], soft(float(way), FAR)]
             token += [plan.turn(i, j), straight]
+        token += oracle.mine(i, j)
         yield (oracle.is_left(i, j) and is_seen) * np.array(token)
 
 

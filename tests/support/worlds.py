@@ -11,7 +11,7 @@ import shapely
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from mbn_marl import Failures, Field
+from mbn_marl import Failures, Field, load_field
 from mbn_marl.config import WITHOUT_RADIUS, RewardProfile, Uniform
 from tests.support.oracle import Oracle
 
@@ -24,6 +24,10 @@ DISTURBANCES = {
     **{"position_noise": 4.0, "velocity_noise": 0.5, "dropout": 0.3},
 }
 
+KINDS = Field(
+    **load_field("field_03").to_dict()
+    | {"roi_kinds": (0, 1, 2, None, 0, 1), "start_kinds": (0, 1, 2), "optimal_makespan": None}
+)
 ASSIGNED = {"observation": "entities", "assignment": True}
 OWN = {
     **{"knowledge": "own", "comm_radius": 60.0, "look_radius": 20.0, "sensing_radius": 50.0},
@@ -163,8 +167,8 @@ class Pilot:
         velocity = np.array([body.vx, body.vy], float)
         targets = [
             np.array(roi, float) - position
-            for roi, seen in zip(self.oracle.rois, self.oracle.visited, strict=True)
-            if not seen
+            for j, roi in enumerate(self.oracle.rois)
+            if self.oracle.is_mine(robot, j) and not self.oracle.visited[j]
         ]
         nearest = min(targets, key=np.linalg.norm, default=np.zeros(2))
         return np.clip(nearest / 4.0, -4.0, 4.0) - velocity

@@ -21,6 +21,7 @@ from mbn_marl.episode import Episode
 from mbn_marl.errors import MbnError
 from mbn_marl.render.web import replay_page
 from tests.support.chromium import MISSING, PROGRAM, Chromium, fact
+from tests.support.records import make_run
 
 
 @pytest.fixture(scope="module")
@@ -199,31 +200,16 @@ def test_page_holds_its_episodes() -> None:
     assert "<b>long" not in long and long.count("</script>") == short.count("</script>")
 
 
-MEASURED = (
-    *(("return_mean", 7e4), ("success_rate", 0.5)),
-    *(("makespan", 34.0), ("gap", 1.0), ("spl", 0.25)),
-)
-
-
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two finished runs of one algorithm, with the zoo's policy and made-up evaluations."""
-    folder = tmp_path_factory.mktemp("runs")
-    entry = ENTRIES / "field_03"
-    card = json.loads((entry / "card.json").read_text())
+    folder, entry = tmp_path_factory.mktemp("runs"), ENTRIES / "field_03"
+    config = json.loads((entry / "config.json").read_text())
+    learner = {name: config[name] for name in ("algorithm", "environment", "hyperparameters")}
     for seed in (0, 1):
-        run = folder / f"run{seed}"
-        shutil.copytree(entry, run)
-        config = json.loads((run / "config.json").read_text())
-        (run / "config.json").write_text(json.dumps({**config, "seed": seed}))
-        (run / "command.txt").write_text(f"mbn train --seed {seed} <field>\n")
-        (run / "versions.json").write_text(json.dumps(card["versions"]))
-        evaluation = {name: card[name] for name in ("stochastic", "deterministic")}
-        evaluation |= {"env_steps": 4096, "policy_env_steps": 4096, "seconds": 2.0}
-        both = {f"{way}{name}": value for way in ("", "deterministic_") for name, value in MEASURED}
-        history = [{"env_steps": 2048 * count, "seconds": count, **both} for count in (1, 2)]
-        (run / "evaluation.json").write_text(json.dumps(evaluation))
-        (run / "evaluations.json").write_text(json.dumps(history))
+        run = make_run(folder, 0.9, seed=seed, **learner).run
+        shutil.copytree(entry / "policy", run.path / "policy")
+        (run.path / "command.txt").write_text(f"mbn train --seed {seed} <field>\n")
     return folder
 
 
@@ -255,7 +241,7 @@ def test_a_report_is_written_or_refused_before_the_work(
     out, new = tmp_path / "report.html", str(tmp_path / "new.html")
     assert main(["report", str(runs), "-o", str(out)]) == 0
     page = out.read_text(encoding="utf-8")
-    for expected in ("Makespan gaps", "Learning curves on field_03", "best: run0"):
+    for expected in ("Makespan gaps", "Learning curves on field_03", "best: mappo-field_03-0-0"):
         assert expected in page, expected
     capsys.readouterr()
     assert main(["report", str(runs), "-o", str(out)]) == 2

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbn_marl.engine.mdp.failures import ABSENT, WORKS, status_of
+from mbn_marl.engine.mdp.kinds import are_alike, is_mine
 from mbn_marl.engine.mdp.paths import CLOSE, EDGES, NEVER, WAYPOINTS, in_sight, path_length
 from mbn_marl.jit.compile import compiled
 from mbn_marl.jit.features import Feature
@@ -225,7 +226,7 @@ def best_place(g, ep, t, j, weight):
     # The cost is that of all tours: the longest one plus ``weight`` times their sum.
     least, robot, after = NEVER, END, END
     for i in range(t.n):
-        if status_of(ep, i, t.w) == WORKS:
+        if (status_of(ep, i, t.w) == WORKS) & is_mine(g, i, j, t.w):
             longest, total = other_tours(t, i, i)
             a, more = END, True
             while more:
@@ -285,7 +286,7 @@ def best_exchange(g, ep, t, least):
         for k in range(i + 1, t.n):
             longest, total = other_tours(t, i, k)
             both_work = (status_of(ep, i, t.w) == WORKS) & (status_of(ep, k, t.w) == WORKS)
-            a, more = END, both_work
+            a, more = END, both_work & are_alike(g, i, k, t.w)
             while more:
                 b, other_more = END, True
                 while other_more:

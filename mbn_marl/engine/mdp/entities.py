@@ -14,6 +14,7 @@ from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.assignment import STRAIGHT, Tours, assigns, way_to
 from mbn_marl.engine.mdp.drawn_numbers import numbers_of
 from mbn_marl.engine.mdp.failures import WORKS, blank_gone, put_flag, status_of
+from mbn_marl.engine.mdp.kinds import put_mine
 from mbn_marl.engine.mdp.knowledge import hide_unnoticed, is_left, knows_own, notices
 from mbn_marl.engine.mdp.sight import (
     Row,
@@ -21,6 +22,7 @@ from mbn_marl.engine.mdp.sight import (
     drop,
     flag_row,
     heading_rows,
+    mine_row,
     put_heading,
     put_own_motion,
     roi_place,
@@ -35,9 +37,9 @@ SCALES = np.array([15.0, 100.0])
 STEPS_AHEAD = np.float32(15.0)
 
 
-def entity_rows(n: int, m: int, turns: bool, flag: str, assigned: bool) -> list[Row]:
+def entity_rows(n: int, m: int, turns: bool, flag: str, assigned: bool, kinds: bool) -> list[Row]:
     # ``turns``: robots have headings; ``flag``: the name of the flag of robots that have failed, or
-    # none; ``assigned``: ROIs are assigned.
+    # none; ``assigned``: ROIs are assigned; ``kinds``: they are for robots of their kind.
     near, far = (f"soft, {scale:g} units" for scale in SCALES)
     rows = [(f"own_v{a}", -1.0, 1.0, "speed limits") for a in "xy"]
     rows += heading_rows("own", turns) + flag_row("own", flag) + lidar.wall_rows()
@@ -57,6 +59,7 @@ def entity_rows(n: int, m: int, turns: bool, flag: str, assigned: bool) -> list[
         if assigned:
             rows += [(f"{one}_order", 0.0, 1.0, "1 / place in the robot's order")]
             rows += [(f"{one}_seen", 0.0, 1.0, "flag")]
+        rows += mine_row(one, kinds)
     return rows
 
 
@@ -226,6 +229,7 @@ def put_entities(p, g, view, lo, hi):
         if assigns(view):
             put_plan(p, g, view, lo, hi, j, first)
             k += 2
+        k += put_mine(p, g, view, lo, hi, j, k)
         drop(view, lo, hi, n + j, first, k)
         blank_visited(p, g, view, lo, hi, j, first, k)
     return k

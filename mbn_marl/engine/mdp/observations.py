@@ -21,6 +21,7 @@ from mbn_marl.engine.mdp.dynamics import count_headings
 from mbn_marl.engine.mdp.entities import entity_rows, put_entities, shows_entities
 from mbn_marl.engine.mdp.events import visit_code, within
 from mbn_marl.engine.mdp.failures import blank_absent, blank_gone, put_flag
+from mbn_marl.engine.mdp.kinds import put_mine
 from mbn_marl.engine.mdp.knowledge import hide_unnoticed, is_left, knows_own
 from mbn_marl.engine.mdp.lidar import has_rays
 from mbn_marl.engine.mdp.sight import (
@@ -32,6 +33,7 @@ from mbn_marl.engine.mdp.sight import (
     flag_row,
     heading_rows,
     look,
+    mine_row,
     put_heading,
     put_own_motion,
     roi_place,
@@ -68,9 +70,17 @@ class Entry(NamedTuple):
 
 
 def observation_table(
-    config: NavigationConfig, n: int, m: int, arena: tuple[float, float], teams_vary: bool = False
+    config: NavigationConfig,
+    n: int,
+    m: int,
+    arena: tuple[float, float],
+    teams_vary: bool = False,
+    kinds: bool = False,
 ) -> tuple[Entry, ...]:
-    """The entries of a robot's observation; if ``teams_vary``, episodes may have fewer robots."""
+    """The entries of a robot's observation, where fields have ``kinds`` of robots, or not.
+
+    If ``teams_vary``, episodes may have fewer robots.
+    """
     rows: list[Row]
     turns = count_headings(config.of_each("dynamics", n)) > 0
     flag = "failed" if config.failures else "absent" if teams_vary else ""
@@ -78,15 +88,17 @@ def observation_table(
         rows = _state_rows(n, m, arena, config.top_speed, turns, flag)
     elif config.observation == "entities":
         failed = flag if config.failures else ""  # who is absent, its tokens say
-        rows = entity_rows(n, m, turns, failed, bool(config.assignment))
+        rows = entity_rows(n, m, turns, failed, bool(config.assignment), kinds)
     else:
-        rows = _scaled_rows(n, m, config.observation, turns, flag)
+        rows = _scaled_rows(n, m, config.observation, turns, flag, kinds)
     if config.one_hot:
         rows += [(f"is_robot_{i}", 0.0, 1.0, "flag") for i in range(n)]
     return tuple(Entry(row[0], k, *row[1:]) for k, row in enumerate(rows))
 
 
-def _scaled_rows(n: int, m: int, observation: str, turns: bool, flag: str) -> list[Row]:
+def _scaled_rows(
+    n: int, m: int, observation: str, turns: bool, flag: str, kinds: bool
+) -> list[Row]:
     flags, lidar_only = observation == "local", observation in LIDARS
     centre = "the field's centre" if lidar_only else "its centre"
     velocity, radii = "speed limits", "sensing radii"
@@ -104,7 +116,7 @@ def _scaled_rows(n: int, m: int, observation: str, turns: bool, flag: str) -> li
         rows += [(f"roi_{j}_present", 0.0, 1.0, "flag")] * flags
         rows += [(f"roi_{j}_d{a}", -1.0, 1.0, "arenas") for a in "xy"]
         rows += [(f"roi_{j}_u{a}", -1.0, 1.0, "soft unit vector") for a in "xy"] * lidar_only
-        rows += [(f"roi_{j}_visited", 0.0, 1.0, "flag")]
+        rows += [(f"roi_{j}_visited", 0.0, 1.0, "flag"), *mine_row(f"roi_{j}", kinds)]
     if lidar_only:
         rows += lidar.wall_rows()
     return rows
@@ -252,6 +264,7 @@ def put_relative(p, g, view, lo, hi):
             hide_roi(p, g, view, lo, hi, j, k, k + 3)
         drop(view, lo, hi, n + j, k, k + flag + 2)
         k += flag + 3
+        k += put_mine(p, g, view, lo, hi, j, k)
     return k
 
 
@@ -286,6 +299,7 @@ def put_lidar(p, g, view, lo, hi):
             hide_roi(p, g, view, lo, hi, j, k, k + 4)
         drop(view, lo, hi, n + j, k, k + 4)
         k += 5
+        k += put_mine(p, g, view, lo, hi, j, k)
     return k
 
 

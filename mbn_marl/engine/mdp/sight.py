@@ -126,6 +126,10 @@ def flag_row(robot: str, flag: str) -> list[Row]:
     return [(f"{robot}_{flag}", 0.0, 1.0, "flag")] * bool(flag)
 
 
+def mine_row(roi: str, kinds: bool) -> list[Row]:
+    return [(f"{roi}_mine", 0.0, 1.0, "flag")] * kinds
+
+
 @compiled
 def put_heading(p, view, lo, hi, j, k):
     """The cosine and the sine of robot j's heading, both 0 if it has none; how many entries."""

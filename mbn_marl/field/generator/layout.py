@@ -38,12 +38,14 @@ class Tables(NamedTuple):
     codes: npt.NDArray[Any]  # (F,) int32
     boxes: npt.NDArray[Any]  # (4, F) real
     robots_in: npt.NDArray[Any]  # (F,) int32: how many robots a field has
+    mine: npt.NDArray[Any]  # (n, F) int32: see mdp.kinds; (0, 0, F) if no field has kinds
 
 
-def make_tables(edges: int, rois: int, robots: int, count: int) -> Tables:
+def make_tables(edges: int, rois: int, robots: int, count: int, kinds: bool = False) -> Tables:
     """Return zeroed tables for ``count`` fields, with numbers of float64."""
     lines, goals, starts, boxes = (
         np.zeros((*shape, count)) for shape in ((4, edges), (2, rois), (2, robots), (4,))
     )
     bits, codes, robots_in = (np.zeros((*shape, count), np.int32) for shape in ((rois,), (), ()))
-    return Tables(lines, goals, starts, bits, codes, boxes, robots_in)
+    mine = np.zeros((robots, count) if kinds else (0, 0, count), np.int32)
+    return Tables(lines, goals, starts, bits, codes, boxes, robots_in, mine)

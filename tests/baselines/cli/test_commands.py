@@ -6,12 +6,8 @@ import csv
 import json
 import os
 import shlex
-import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +21,6 @@ from mbn_marl.field import generate
 from mbn_marl.jit.compile import ANNOUNCEMENT
 from tests.baselines.conftest import Refusal
 from tests.support.records import make_run
-from tests.support.terminal import MBN
 
 CATALOGUE = Path(__file__).parents[3] / "envs_catalog"
 TINY = ("--steps", "1", "--evaluate-every", "4096", "--episodes", "2")
@@ -124,7 +119,7 @@ def test_runs_are_listed_with_their_state(
         (paths[name] / "evaluation.json").unlink()
     (paths["going"] / "checkpoints" / "000000000300").mkdir(parents=True)
     (paths["begun"] / "evaluations.json").write_text("[]")
-    (paths["damaged"] / "evaluation.json").write_text('{"stochastic": {"success_rate": 5}}')
+    (paths["damaged"] / "evaluation.json").write_text('{"stochastic": {}}')
     (paths["going"] / "evaluations.json").write_text(
         '[{"success_rate": 0.25, "makespan": null, "return_mean": 1.0}]'
     )
@@ -292,39 +287,3 @@ def test_episodes_are_of_the_policy_the_field_and_the_wind_that_are_named(
     windy = [*RENDER.split(), "--condition", "windy", "--force"]
     assert main([*windy, "greedy", "--field", "field_03"]) == 0
     assert "windy" in load_episode("a.json").source
-
-
-@pytest.mark.all
-def test_a_stopped_comparison_leaves_no_process_behind(tmp_path: Path) -> None:
-    out = tmp_path / "comparison"
-    chosen = ("compare", "--algos", "ppo", "--processes", "2", "--out", str(out))
-    endless = ("--steps", "100000000", "--evaluate-every", "100000000")
-    process = subprocess.Popen(
-        [*MBN, *chosen, *endless],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-        text=True,
-    )
-
-    def wait_for(condition: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + 600.0
-        while not condition():
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
-
-    def nobody_is_left() -> bool:
-        with suppress(ProcessLookupError):
-            os.killpg(process.pid, 0)
-            return False
-        return True
-
-    try:
-        wait_for((out / "ppo-N-field_03-seed0" / "progress.csv").exists)
-        process.send_signal(signal.SIGTERM)
-        _, error = process.communicate(timeout=600)
-        assert process.returncode == 130
-        assert "Traceback" not in error
-        wait_for(nobody_is_left)
-    finally:
-        process.kill()

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from baselines.cli import main
+from baselines.cli.deploy import parse_speeds
 from mbn_marl.config import make_config
 from mbn_marl.episode import play, save_episode
+from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field, save_field
 from tests.baselines.conftest import Refusal
 from tests.support.missions import SMALL
@@ -56,6 +58,16 @@ def test_the_command_sweeps_the_wind(small_file: str, tmp_path: Path) -> None:
     rows = json.loads(numbers.read_text())["deployments"]
     assert [(row["wind_speed"], row["success"]) for row in rows] == [(0.1, True), (0.3, False)]
     assert {row["strongest_wind"] for row in rows} == {0.1}
+
+
+def test_wind_speeds_are_listed_or_in_even_steps() -> None:
+    assert parse_speeds("0, 0.25,1") == [0.0, 0.25, 1.0]
+    assert parse_speeds("0.4,0.3,..,0.1,0") == [0.4, 0.3, 0.2, 0.1, 0.0]
+    assert len(parse_speeds("0,1,..,99")) == 100
+    ends = ("0,fast", "-0.1", "0,inf", "nan", "0,..,0.5", "0,0.1,..", "0,0.1,..,inf")
+    for wrong in (*ends, "0,0.2,..,0.5", "0,0,..,0.5", "0,0.1,..,0", "0,1,..,100"):
+        with pytest.raises(ConfigError, match=f"wind_speeds '{wrong}'"):
+            parse_speeds(wrong)
 
 
 @pytest.mark.parametrize(

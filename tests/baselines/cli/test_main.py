@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
-from typing import Any
+from functools import partial
 
 import pytest
 
 from baselines.cli import fields
-from baselines.cli.main import COMMANDS, main, read_command
+from baselines.cli.main import COMMANDS, main
 from mbn_marl import __version__
 from tests.baselines.conftest import Refusal
-from tests.support.terminal import MBN
+from tests.support.pages import MBN
 
 
 def missing(name: str) -> ModuleNotFoundError:
@@ -61,6 +63,12 @@ def test_command_ends_with_a_code_and_a_line(
     assert error.count("\n") == 1 and all(part in error for part in parts)
 
 
+def test_sigterm_ends_a_command_as_ctrl_c_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    kill = partial(os.kill, os.getpid(), signal.SIGTERM)
+    monkeypatch.setattr(fields.Fields, "run", lambda command, command_line: kill())
+    assert main(["fields"]) == 130
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("words", [["fields"], ["train", "--help"]])
 def test_reader_may_leave(words: list[str]) -> None:
@@ -69,14 +77,6 @@ def test_reader_may_leave(words: list[str]) -> None:
         process.stdout.close()
         assert process.stderr.read() == ""
     assert process.returncode == 1
-
-
-def test_numbers_may_be_written_short() -> None:
-    words = ("train ppo field_03", "--steps 2.5e1", "--num-envs 1_000", "--seed 3e2")
-    train = read_command(" ".join(words).split())
-    config: Any = train.config
-    assert (config.steps, config.num_envs, config.seed) == (25, 1000, 300)
-    assert read_command(["plan", "field_03", "--wind", "-1e1", "2"]).wind == (-10.0, 2.0)
 
 
 @pytest.mark.parametrize(

@@ -225,6 +225,16 @@ def test_words_stay_in_their_cells() -> None:
     assert csv_text(signs).splitlines() == rows
 
 
+def test_a_narrow_terminal_breaks_no_word() -> None:
+    out, headings = io.StringIO(), ("label", *(f"number {k}" for k in range(10)))
+    table = TextTable("", headings, (("a-label", *(f"-{k},972,196" for k in range(10))),))
+    table.print("a title", Console(width=80, file=out))
+    lines = out.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert [line.split()[0] for line in lines if "196" in line] == ["a-label"] * 2
+    assert {*out.getvalue().split()} >= {f"-{k},972,196" for k in range(10)}
+
+
 @pytest.mark.parametrize(
     "joint, mappo, words",
     [

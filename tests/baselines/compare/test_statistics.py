@@ -16,8 +16,8 @@ from mbn_marl.errors import MbnError
 def test_the_interquartile_mean_cuts_a_quarter_at_both_ends() -> None:
     # Eight runs: two go at each end, and 1, 2, 3, 4 stay. Of five runs one goes at each end.
     scores = np.array([[0.0, 100.0, 3.0, 9.0], [1.0, 4.0, 2.0, -50.0]])
-    assert stratified.interquartile_mean(scores).value == np.mean([1.0, 2.0, 3.0, 4.0])
-    assert stratified.interquartile_mean(np.array([[9.0, 1.0, 2.0, 3.0, 70.0]])).value == 14.0 / 3.0
+    assert stratified.interquartile_mean(scores).mean == np.mean([1.0, 2.0, 3.0, 4.0])
+    assert stratified.interquartile_mean(np.array([[9.0, 1.0, 2.0, 3.0, 70.0]])).mean == 14.0 / 3.0
 
 
 def test_the_worst_tenth_is_of_one_run_at_least() -> None:

@@ -158,9 +158,7 @@ def test_transfer_goes_from_one_field_to_others(
     assert not (out / "a2c-C-field_03-seed33").exists()
 
 
-def test_only_a_finished_policy_of_the_same_learner_is_taken_over(
-    tmp_path: Path,
-) -> None:
+def test_only_a_finished_policy_of_the_same_learner_is_taken_over(tmp_path: Path) -> None:
     path, out = tmp_path / "source", tmp_path / "moved"
     train(TrainConfig("a2c", "field_01", "A", steps=5, episodes=1), path)
     budget: dict[str, Any] = {"steps": 5, "episodes": 1, "transferred_from": path}

@@ -20,8 +20,8 @@ from baselines.runs.folder import RunFolder
 from baselines.sweep.processes import LocalEngine
 from baselines.sweep.run import train_runs
 from baselines.sweep.spec import read_spec, runs_of
+from tests.support.pages import MBN
 from tests.support.runs import recorded, same_policies
-from tests.support.terminal import MBN
 
 pytestmark = [pytest.mark.slow, pytest.mark.all]
 cluster_utils = pytest.importorskip("ray.cluster_utils", reason="needs the extra [ray]")
