@@ -79,7 +79,7 @@ ALGORITHMS: Mapping[str, Algorithm] = {
         Algorithm("tqc", "centralized", "sb3", PAPER),
         Algorithm("mappo", "decentralized", "torchrl", ("N", "G")),
         Algorithm("ippo", "decentralized", "torchrl", ("N", "G")),
-        Algorithm("ppo-joint", "centralized", "torchrl"),
+        Algorithm("ppo-joint", "centralized", "torchrl", ("N", "G")),
         Algorithm("ppo-shared", "decentralized", "sb3"),
     )
 }

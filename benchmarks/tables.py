@@ -11,13 +11,14 @@ import pandas
 from pandas import DataFrame
 from scipy.stats import binomtest
 
+from baselines.compare.benchmark import PRICES, prices
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.intervals import RETURN_THRESHOLD
+from baselines.evaluation.intervals import RETURN_THRESHOLD, Interval
 from baselines.runs.files import read_json, read_text, write_text
 from mbn_marl.field import splits
 
 PLACE = re.compile(r"(?m)^<!-- table: (\S+) -->\n(?:\n(?:\|.*\n)+)?")
-BOARD = "leaderboard"
+BOARD, SEARCHED = "leaderboard", "search"
 ROW = [
     *("label", "information", "field", "seed", "passed"),
     *("success_rate", "deterministic_gap", "spl"),
@@ -44,7 +45,7 @@ def fill(page: Path) -> str:
         folder = page.parent / place[1]
         if not folder.is_dir():  # not run yet
             return place[0]
-        text = weather(folder) if folder.name == BOARD else table(folder)
+        text = {BOARD: weather, SEARCHED: searched}.get(folder.name, table)(folder)
         return f"<!-- table: {place[1]} -->\n\n{text.markdown().strip()}\n"
 
     return PLACE.sub(below, read_text(page))
@@ -64,6 +65,29 @@ def weather(folder: Path) -> TextTable:
             lines.append((rows.makespan.mean(), path.stem, *words))
     ordered = [line[1:] for line in sorted(lines)]
     return TextTable("", ("policy", *splits.CONDITIONS), ordered)
+
+
+def searched(folder: Path) -> TextTable:
+    """Return success at each radius, and the prices, of each policy by mean actions."""
+    lines = []
+    for path in folder.glob("*.json"):
+        instances = read_json(path)["tiers"][splits.SEARCH]["instances"]
+        rows = DataFrame([{**row, **row["mean"]} for row in instances])
+        means = rows.groupby("comm_radius").success_rate.mean()
+        found = prices(instances)
+        words = [_with_ends(found.get(name)) for name in PRICES]
+        shares = " / ".join(f"{means[name]:.0%}" for name in splits.RADII)
+        sees = ", ".join(rows.information.unique())
+        lines.append((-means.sum(), words[0], path.stem, sees, shares, *words))
+    headings = ("policy", "information", f"success at {' / '.join(splits.RADII)}", *PRICES)
+    return TextTable("", headings, [line[2:] for line in sorted(lines)], words=2)
+
+
+def _with_ends(price: Interval | None) -> str:
+    if price is None:
+        return "-"
+    ends = "" if price.low in (None, price.high) else f" ({price.low:.2f}..{price.high:.2f})"
+    return f"{price.mean:.2f}{ends}"
 
 
 def rows_of(study: Path) -> DataFrame:

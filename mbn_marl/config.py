@@ -245,7 +245,7 @@ class NavigationConfig(Checked):
     look_radius: NonNegative | None = None
     """A robot sees within this distance whether an ROI is left, units; ``None`` is rho."""
     hidden_rois: Flag = False
-    """Only with ``"entities"``: an ROI is unknown until a robot is within the sensing radius."""
+    """An ROI is unknown until a robot is within the sensing radius."""
     comm_delay: Annotated[WholeNumber, Field(ge=0, le=100)] = 0
     """Delay of what robots tell each other, steps, 0 to 100."""
     comm_loss: Probability = 0.0
@@ -314,7 +314,7 @@ class NavigationConfig(Checked):
             return REWARD_PROFILES[value]
         return value
 
-    @field_validator("assignment", "hidden_rois")
+    @field_validator("assignment")
     @classmethod
     def _seen(cls, value: bool | str, info: ValidationInfo) -> bool | str:
         if value and info.data.get("observation", "entities") != "entities":

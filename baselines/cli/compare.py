@@ -124,7 +124,8 @@ class Benchmark(Writes):
     """Measure a policy on frozen fields with proved bounds, by the same rules for all."""
 
     source: Positional[Annotated[str, arg(metavar="POLICY")]]
-    """zoo:NAME, the folder of a run, greedy, planner, replan, random, or module:callable."""
+    """zoo:NAME, the folder of a run, greedy, planner, replan, open-loop, greedy-local, blind,
+    random, or module:callable."""
     split: Literal["test", "validation"] = "test"
     """The fields: those to choose by are of validation."""
     shield: bool = False

@@ -197,10 +197,12 @@ def _run_tier(
 ) -> tuple[dict[str, Any], dict[str, Episode]]:
     """Return what is found in a tier, and the first episodes of the chosen instances."""
     seed = protocol.seed + 1000 * splits.NAMES.index(tier)
+    fields = [*dict.fromkeys(one.field.name for one in instances)]  # one seed at all radii
     rows, episodes = [], []
     for k, one in enumerate(instances):
         try:
-            row, episode = _run_instance(source, shield, one, seed + k, protocol)
+            number = seed + fields.index(one.field.name)
+            row, episode = _run_instance(source, shield, one, number, protocol)
         except (SettingsError, RunError, ImportError):
             raise
         except MISFITS as error:

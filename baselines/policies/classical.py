@@ -1,4 +1,4 @@
-"""Policies without learning: greedy, the planner in closed loop, and one that plans again."""
+"""Policies without learning: greedy ones, and those that follow a plan."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:  # the planner's packages are an extra
     from mbn_marl.planning import Plan
     from mbn_marl.planning.greedy import Greedy
     from mbn_marl.planning.problem import Problem
-    from mbn_marl.planning.replanning import Replanner, Tracker
+    from mbn_marl.planning.replanning import Replanner, Replay, Tracker
 
-    Controller = Greedy | Tracker | Replanner
+    Controller = Greedy | Tracker | Replanner | Replay
 
 Empty = tuple[int, ...]
 # The names of these policies, and what they want of the environment.
 CLASSICAL: Mapping[str, Mapping[str, Any]] = {
-    **{"greedy": {}, "planner": {}, "replan": {}},
-    "greedy-local": {"observation": "lidar_local"},
+    **{"greedy": {}, "planner": {}, "replan": {}, "open-loop": {}},
+    **{name: {"observation": "lidar_local"} for name in ("greedy-local", "blind")},
 }
 # Settings that ``replan`` does not plan with: it finds out.
 UNSEEN = ("wind", "gust", "gust_time", "failures", *OF_ACTIONS, *OF_SIGHT)
@@ -90,15 +90,15 @@ def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Poli
     from mbn_marl.planning import plan
     from mbn_marl.planning.greedy import Greedy
     from mbn_marl.planning.problem import make_problem
-    from mbn_marl.planning.replanning import Replanner, Tracker
+    from mbn_marl.planning.replanning import Replanner, Replay, Tracker
 
     none = {"decoys": 0, "empty_rois": ()}  # the engine knows which ROIs are empty
     config = make_config({**settings, **none})
-    problem = make_problem(field, config, closed_loop=name != "planner")
-    if name == "greedy-local":
+    problem = make_problem(field, config, closed_loop=name not in ("planner", "open-loop"))
+    if name in ("greedy-local", "blind"):
         from baselines.policies.greedy_local import GreedyLocal
 
-        return GreedyLocal(problem)
+        return GreedyLocal(problem, config, blind=name == "blind")
     if name == "greedy":
         return ControllerPolicy(problem, lambda _: Greedy(problem))
     hidden = UNSEEN if name == "replan" else ()
@@ -108,11 +108,12 @@ def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Poli
     def planned(empty: Empty) -> Plan:
         given = {name: getattr(problem.config, name) for name in known}
         found = plan(field, visited=empty, **given)
-        if found.makespan is None and name == "planner":
+        if found.makespan is None and name != "replan":
             raise NoPlanError(f"{field.name}: no plan was found within the time limit")
         return found
 
     if config == make_config(settings):
         planned(())
-    control: type[Tracker] | type[Replanner] = Tracker if name == "planner" else Replanner
+    controls: dict[str, type[Tracker | Replay]] = {"planner": Tracker, "open-loop": Replay}
+    control = controls.get(name, Replanner)
     return ControllerPolicy(problem, lambda empty: control(problem, planned(empty)))

@@ -22,24 +22,28 @@ TOLERANCE = 1e-4
 ALLOWED = "has no network; allowed: zoo:NAME and the folders of runs"
 OPSET = 18
 CHECKED_WORLDS = 256
+MEMORY = "memory"
 
 
 class Network(torch.nn.Module):
-    """A policy's mean actions in [-1, 1], (W, n, 2), for what W worlds show."""
+    """A policy's mean actions in [-1, 1], (W, n, 2), for what W worlds show, and its memory."""
 
     def __init__(self, policy: TrainedPolicy) -> None:
         super().__init__()
         self._policy, self._network = policy, policy.network
 
-    def forward(self, seen: torch.Tensor) -> torch.Tensor:
-        return self._policy.means(seen).clamp(-1.0, 1.0)
+    def forward(self, seen: torch.Tensor, past: torch.Tensor | None = None) -> Any:
+        means, after = self._policy.step(seen, past)
+        actions = means.clamp(-1.0, 1.0)
+        return actions if past is None else (actions, after)
 
 
 def export_policy(
     policy: LoadedPolicy, path: Path, *, force: bool = False
 ) -> tuple[dict[str, Any], float]:
     """Write a policy's mean actions as an ONNX file; return its metadata and largest difference."""
-    # The ONNX function takes float32 of W >= 1 worlds, in their units; it needs no library.
+    # The ONNX function takes float32 of W >= 1 worlds, in their units; it needs no library. It also
+    # takes a memory, all 0 when an episode begins, and returns the next one.
     import onnxruntime
     import onnxscript  # noqa: F401 - the exporter needs it, and says otherwise what is missing
 
@@ -48,20 +52,23 @@ def export_policy(
         raise ConfigError("export", [f"{policy.name}: {ALLOWED}"])
     engine = BatchEngine(policy.place, 1, threads=1, **policy.settings)
     seen = _drawn(engine, policy.observes)
+    before = policy.policy.blank(torch.from_numpy(seen))
+    memory = {} if before is None else {MEMORY: before.numpy()}
     metadata: dict[str, Any] = {
         **{"policy": policy.name, "field": policy.place.name, "takes": policy.observes},
         **{"shape": ["W", *seen.shape[1:]], "returns": ["W", engine.n_robots, 2]},
         **{"environment": policy.settings, "version": __version__},
+        **{name: ["W", *past.shape[1:]] for name, past in memory.items()},
     }
     logging.disable(logging.WARNING)  # the exporter warns of packages that it does not need here
     with warnings.catch_warnings(action="ignore"):
         program: Any = torch.onnx.export(
             Network(policy.policy).eval(),
-            (torch.from_numpy(seen),),
-            input_names=[policy.observes],
-            output_names=["actions"],
+            tuple(map(torch.from_numpy, (seen, *memory.values()))),
+            input_names=[policy.observes, *memory],
+            output_names=["actions", *(f"{name}_after" for name in memory)],
             opset_version=OPSET,
-            dynamic_shapes=({0: torch.export.Dim("worlds")},),
+            dynamic_shapes=({0: torch.export.Dim("worlds")},) * (1 + len(memory)),
             dynamo=True,
             verbose=False,
         )
@@ -70,10 +77,16 @@ def export_policy(
     model.metadata_props.add(key="mbn_marl", value=json.dumps(metadata))
     content = model.SerializeToString()
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
-    difference = max(
-        float(np.abs(session.run(["actions"], {policy.observes: rows})[0] - policy.act(rows)).max())
-        for rows in (seen, seen[:1])
-    )
+    difference = 0.0
+    for count in (CHECKED_WORLDS, 1):
+        policy.reset()
+        inputs = {policy.observes: seen, **memory}
+        inputs = {name: numbers[:count] for name, numbers in inputs.items()}
+        for _ in range(1 + len(memory)):  # the second time with something to remember
+            actions, *after = session.run(None, inputs)
+            inputs |= dict(zip(memory, after, strict=True))
+            theirs = policy.act(inputs[policy.observes])
+            difference = max(difference, float(np.abs(actions - theirs).max()))
     if not difference <= TOLERANCE:
         raise MbnError(f"{path}: not written, as its actions differ by up to {difference:.1e}")
     with replacing(claim_file(path, force=force)) as temporary:

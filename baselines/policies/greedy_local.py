@@ -3,57 +3,54 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from baselines.policies.braking import Braking
 from baselines.policies.policy import Policy
+from mbn_marl.config import NavigationConfig
 from mbn_marl.engine.mdp.observations import observation_table
 from mbn_marl.planning.greedy import STIRS, clear_roadmap
-from mbn_marl.planning.problem import Problem
+from mbn_marl.planning.problem import Floats, Problem
+from mbn_marl.planning.roadmap import Roadmap, moved_into
+from mbn_marl.planning.shield import Flags
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-
-# The share of a safety distance that robots keep from the middle between two of them.
-BERTH = 1.03
-# Directions (degrees) and shares of the wanted velocity to try in turn, then directions to leave.
-TURNS = ((0, 1.0), (0, 0.5), (0, 0.25), (60, 0.5), (-60, 0.5), (100, 0.5), (-100, 0.5), (0, 0.0))
-ESCAPES = np.radians(np.arange(8) * 45.0)
-ESCAPE_SHARE = 0.5  # of the speed limit
 # Nothing is known before the first step of an episode.
 UNKNOWN = -1
 
 
-class GreedyLocal(Policy):
+class GreedyLocal(Braking, Policy):
     """Go to the first ROI of a greedy assignment to the robots in sight, and be able to brake.
 
     A robot assigns the ROIs that it believes to be left to itself and the robots that it observes,
     the earliest visit first. It does so again when its beliefs or the robots in sight change. It
-    takes the first velocity from which it can brake inside the field and its buffered Voronoi cell
-    (Zhou et al., 2017), whatever the others do. It observes ``lidar_local``; the map, without the
-    starts of other robots, is known, and the kinds of all robots.
+    observes ``lidar_local``; the map, without the starts of other robots, is known, and the kinds
+    of all robots. A ``blind`` one ignores the other robots. If ROIs are hidden, robots without any
+    go to the nearest part of the field that neither they nor, as far as they know, those that tell
+    them have seen.
     """
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        config, arena = problem.config, np.array(problem.field.arena)
-        sizes, kinds = (problem.n, problem.m, problem.field.arena), bool(problem.field.roi_kinds)
-        table = observation_table(config, *sizes, kinds=kinds)
+    def __init__(
+        self, problem: Problem, settings: NavigationConfig, *, blind: bool = False
+    ) -> None:
+        config, arena = problem.config, problem.field.arena
+        kinds = bool(problem.field.roi_kinds)
+        table = observation_table(config, problem.n, problem.m, arena, kinds=kinds)
+        super().__init__(problem, table)
+        self._blind, self._heard = blind, settings.comm_radius
+        self._parts, self._near = np.zeros((0, 2)), np.zeros(0)
+        if settings.hidden_rois:
+            self._parts, self._near = parts(problem, min(config.sensing_radius, max(arena)))
+        self._places = np.concatenate([problem.rois, self._parts])
         at = {entry.name: entry.offset for entry in table}
-        self._own = [at[name] for name in ("own_x", "own_y", "own_vx", "own_vy")]
-        axes = ("dx", "dy", "dvx", "dvy")
-        others = [[at[f"other_{k}_{axis}"] for axis in axes] for k in range(1, problem.n)]
-        self._others = np.array(others, int).reshape(-1, 4)
         self._visited = [at[f"roi_{j}_visited"] for j in range(problem.m)]
-        corners = problem.field.vertices
-        self._centre, self._half = (corners.min(0) + corners.max(0)) / 2.0, arena / 2.0
-        self._arena, self._top = arena, config.top_speed
-        self._force = problem.forces.min(0)
-        self._roadmap = None if problem.convex else clear_roadmap(problem, problem.rois[:0])
-        shapely.prepare(problem.area)
+        self._roadmap: Roadmap | None = None
+        if not problem.convex:
+            self._roadmap = clear_roadmap(replace(problem, rois=self._places), problem.rois[:0])
         self._robots = np.arange(problem.n)
         # The ROIs that robots may visit, in the order in which each observes them.
         self._mine = problem.mine[[[i, *np.delete(self._robots, i)] for i in self._robots]]
@@ -64,6 +61,7 @@ class GreedyLocal(Policy):
             self._target = np.zeros((0, 0), int)
         elif len(self._target):
             self._target[worlds], self._beliefs[worlds] = UNKNOWN, UNKNOWN
+            self._swept[worlds] = False
 
     def of_robot(self, robot: int, robots: int) -> GreedyLocal:
         one = deepcopy(self)
@@ -78,13 +76,11 @@ class GreedyLocal(Policy):
         if self._target.shape != seen.shape[:2]:
             self._target = np.full(seen.shape[:2], UNKNOWN)
             self._beliefs = np.full((*seen.shape[:2], self.problem.m + self.problem.n - 1), UNKNOWN)
+            self._swept = np.zeros((*seen.shape[:2], len(self._parts)), bool)
             self._steps = 0
         rows = seen.reshape(-1, seen.shape[-1]).astype(float)
-        place = self._centre + rows[:, self._own[:2]] * self._half
-        speed = rows[:, self._own[2:]] * self._top
-        offsets = rows[:, self._others]
-        there: Flags = (offsets != 0.0).any(-1)
-        others = place[:, None] + offsets[..., :2] * self._arena
+        place, speed, others, there = self._read(rows)
+        there &= not self._blind
         left = rows[:, self._visited] < 0.5
         target = self._targets(place, others, there, left)
         wanted = self._wanted(place, speed, target)
@@ -101,7 +97,25 @@ class GreedyLocal(Policy):
         if len(stale):
             able = left[stale, None] & self._mine[self._robots[stale % len(self._robots)]]
             target[stale] = self._assigned(place[stale], others[stale], there[stale], able)
+        if len(self._parts):
+            self._sweep(place, others, there, target)
         return target
+
+    def _sweep(self, place: Floats, others: Floats, there: Flags, target: NDArray[Any]) -> None:
+        """Note the parts that are seen; send robots without an ROI to one that is not."""
+        swept, m = self._swept.reshape(len(place), -1), self.problem.m
+        own = np.linalg.norm(self._parts - place[:, None], axis=-1)
+        far = np.linalg.norm(self._parts - others[:, :, None], axis=-1)
+        heard = there & (np.linalg.norm(others - place[:, None], axis=-1) <= self._heard)
+        swept |= (own <= self._near) | ((far <= self._near) & heard[..., None]).any(1)
+        swept[swept.all(1)] = False  # what was there has not been heard of: once more
+        reached = (target >= m) & swept[np.arange(len(place)), np.maximum(target - m, 0)]
+        target[reached] = UNKNOWN
+        idle = target == UNKNOWN
+        # A part that another robot in sight is nearer to is the last choice.
+        taken = ((far < own[:, None]) & there[..., None]).any(1)
+        ways = own + np.where(taken, np.linalg.norm(self._arena), 0.0)
+        target[idle] = m + np.where(swept, np.inf, ways).argmin(1)[idle]
 
     def _assigned(self, place: Floats, others: Floats, there: Flags, able: Flags) -> NDArray[Any]:
         """Return the first ROI of each row's own robot in its greedy assignment, or -1."""
@@ -120,12 +134,14 @@ class GreedyLocal(Policy):
             at[rows[found], robot[found]] = rois[roi[found]]
             walked[rows[found], robot[found]] = length[found]
             able[rows[found], :, roi[found]] = False
+            if ((first != UNKNOWN) | ~found).all():
+                break
         return first
 
     def _wanted(self, place: Floats, speed: Floats, target: NDArray[Any]) -> Floats:
         """Return the highest velocities toward the targets from which robots can stop there."""
         goes, tau = target != UNKNOWN, self.problem.config.tau
-        goal = self.problem.rois[target]
+        goal = self._places[target]
         if self._roadmap is not None:
             for row in np.flatnonzero(goes):
                 goal[row] = self._roadmap.toward(place[row], int(target[row]))
@@ -139,42 +155,20 @@ class GreedyLocal(Policy):
         wanted: Floats = np.where(goes[:, None], offset * np.minimum(scale, 1.0), stir)
         return wanted
 
-    def _choose(
-        self, place: Floats, speed: Floats, wanted: Floats, others: Floats, there: Flags
-    ) -> Floats:
-        """Return the change of each row's velocity: the first from which it can brake."""
-        change = -np.clip(speed, -self._force, self._force)
-        rows = np.arange(len(place))
-        turns = [(share * np.exp(1j * np.radians(angle)), 0.0) for angle, share in TURNS]
-        turns += [(0.0, ESCAPE_SHARE * self._top * np.exp(1j * angle)) for angle in ESCAPES]
-        for turn, own in turns:
-            asked = turn * (wanted[rows] @ np.array([1.0, 1.0j])) + own
-            aim = np.stack([asked.real, asked.imag], -1)
-            step = np.clip(aim - speed[rows], -self._force, self._force)
-            after = np.clip(speed[rows] + step, -self._top, self._top)
-            safe = self._can_brake(place[rows], after, others[rows], there[rows])
-            change[rows[safe]] = step[safe]
-            rows = rows[~safe]
-            if not len(rows):
-                break
-        return change
 
-    def _can_brake(self, place: Floats, speed: Floats, others: Floats, there: Flags) -> Flags:
-        middle = others - place[:, None]
-        apart = np.maximum(np.linalg.norm(middle, axis=-1), 1e-9)
-        room = np.where(there, (apart - BERTH * self.problem.config.safety_distance) / 2.0, np.inf)
-        toward, now, good = middle / apart[..., None], place.copy(), np.ones(len(place), bool)
-        while good.any():
-            now = now + speed * self.problem.config.tau
-            good &= self._inside(now)
-            good &= (np.einsum("rka,ra->rk", toward, now - place) <= room).all(1)
-            if not speed[good].any():
-                break
-            speed = speed - np.clip(speed, -self._force, self._force)
-        return good
+def parts(problem: Problem, radius: float) -> tuple[Floats, Floats]:
+    """Return the middles (k, 2) of parts of the field, and within what (k,) robots see all of one.
 
-    def _inside(self, places: Floats) -> Flags:
-        if self.problem.convex:
-            normals, limits = self.problem.half_planes
-            return np.asarray((places @ normals.T <= limits + 1e-6).all(-1), bool)
-        return np.asarray(shapely.intersects_xy(self.problem.area, *places.T), bool)
+    Robots see as far as ``radius``, units.
+    """
+    side = radius / 4.0
+    corners, half = problem.field.vertices, side / np.sqrt(2.0)
+    lines = [
+        np.arange(low + side / 2.0, high + side / 2.0, side)
+        for low, high in zip(corners.min(0), corners.max(0), strict=True)
+    ]
+    grid = np.stack(np.meshgrid(*lines), -1).reshape(-1, 2)
+    squares = shapely.box(*(grid - side / 2.0).T, *(grid + side / 2.0).T)
+    grid = grid[shapely.intersects(problem.area, squares)]
+    middles = moved_into(problem.area, grid)
+    return middles, radius - half - np.linalg.norm(middles - grid, axis=-1)

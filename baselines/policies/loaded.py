@@ -44,6 +44,9 @@ class LoadedPolicy(Wrapped):
     def fit(self, engine: BatchEngine) -> Policy:
         return self.policy.fit(engine)
 
+    def reset(self, worlds: np.ndarray | None = None) -> None:
+        self.fitted[0].reset(worlds)  # which may have a memory for each robot
+
     @cached_property
     def fitted(self) -> tuple[Policy, tuple[int, ...] | None]:
         """The policy as it acts in its field, and the shape of what one world shows there."""

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     import torch
 
 Observes = Literal["observations", "state"]
+# Actions, and the memory after them.
+Step = tuple["torch.Tensor", "torch.Tensor | None"]
 
 
 class Origin(NamedTuple):
@@ -105,10 +107,14 @@ class TrainedPolicy(Policy, ABC):
     network: Any  # a torch.nn.Module
 
     def of_robot(self, robot: int, robots: int) -> Policy:
-        return self  # these networks have no memory
+        return self  # most networks have no memory
+
+    def blank(self, seen: torch.Tensor) -> torch.Tensor | None:
+        """Return the memory before the first step, (worlds, ...); ``None`` for a policy without."""
+        return None
 
     @abstractmethod
-    def means(self, seen: torch.Tensor) -> torch.Tensor:
+    def step(self, seen: torch.Tensor, past: torch.Tensor | None) -> Step:
         """Mean actions (worlds, n, 2), not clipped, as ``torch.export`` can follow them."""
 
     @abstractmethod

@@ -11,10 +11,13 @@ from baselines.algorithms import find_algorithm
 from baselines.policies.information import information
 from baselines.policies.policy import Policy, RandomPolicy, Wrapped
 from baselines.runs.folder import RunFolder
+from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
 
 if TYPE_CHECKING:  # the planner's packages are an extra
+    from baselines.policies.braking import OwnShield
+    from mbn_marl.planning.problem import Problem
     from mbn_marl.planning.shield import Shield
 
 
@@ -24,7 +27,8 @@ def behind(shield: bool) -> str:
 
 def information_of(policy: Policy, settings: Mapping[str, Any], run: RunFolder | None) -> str:
     """Return what tables call the input of a policy, of a ``run`` if it was trained."""
-    if isinstance(policy, Shielded) or policy.observes == "state":
+    own = make_config(settings).knowledge == "own"
+    if policy.observes == "state" or (isinstance(policy, Shielded) and not own):
         return "state"
     if isinstance(policy, RandomPolicy):
         return "-"
@@ -35,25 +39,32 @@ def information_of(policy: Policy, settings: Mapping[str, Any], run: RunFolder |
 class Shielded(Wrapped):
     """A policy in whose place the shield acts where robots could not brake after its action."""
 
-    # The shield sees the engine's true state, whatever the policy observes. Of numbers that
-    # episodes draw it knows only their middles, as greedy does.
-    def __init__(self, policy: Policy) -> None:
+    # The shield sees the engine's true state, whatever the policy observes, except of robots that
+    # act on their own knowledge. Of numbers that episodes draw it knows only their middles.
+    def __init__(self, policy: Policy, own: OwnShield | None = None) -> None:
         super().__init__(policy)
         self._shields: dict[int, Shield] = {}
+        self._own = own
 
     def fit(self, engine: BatchEngine) -> Shielded:
-        fitted = Shielded(self.policy.fit(engine))
-        _shield_of(engine, 0)
-        return fitted
+        from baselines.policies.braking import OwnShield
+
+        problem = _problem_of(engine, 0)
+        own = engine.config.knowledge == "own" and self.observes == "observations"
+        return Shielded(self.policy.fit(engine), OwnShield(problem, engine) if own else None)
 
     def act_in(self, world: BatchEngine, observations: Any, *, deterministic: bool = True) -> Any:
+        from mbn_marl.planning.shield import Shield
+
         n = world.n_robots
         actions = np.array(self.policy.act_in(world, observations, deterministic=deterministic))
+        if self._own is not None:
+            return self._own.act(actions, observations)
         places, speeds = world.state()[:, : 4 * n].reshape(-1, 2, n, 2).swapaxes(0, 1)
         failed = world.failed
         for one in np.flatnonzero(world.running).tolist():
             if one not in self._shields:
-                self._shields[one] = _shield_of(world, one)
+                self._shields[one] = Shield(_problem_of(world, one))
             shield = self._shields[one]
             team = one, slice(shield.problem.n)
             actions[team] = shield.act(actions[team], places[team], speeds[team], failed[team])
@@ -65,13 +76,12 @@ class Shielded(Wrapped):
         super().reset(worlds)
 
 
-def _shield_of(engine: BatchEngine, world: int) -> Shield:
+def _problem_of(engine: BatchEngine, world: int) -> Problem:
     from mbn_marl.planning.problem import make_problem
-    from mbn_marl.planning.shield import Shield
 
     team = {"n_robots": None if engine.teams_vary else engine.n_robots}
     config = engine.config.model_copy(update={**team, "random_starts": False})
     try:
-        return Shield(make_problem(engine.field_of(world), config, closed_loop=True))
+        return make_problem(engine.field_of(world), config, closed_loop=True)
     except ConfigError as error:
         raise ConfigError("shield", error.problems) from None

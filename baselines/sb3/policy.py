@@ -15,7 +15,7 @@ from stable_baselines3.common.utils import ConstantSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 from torch.nn.utils import parameters_to_vector
 
-from baselines.policies.policy import TrainedPolicy
+from baselines.policies.policy import Step, TrainedPolicy
 from baselines.runs.files import RunError, read_json, reading, write_json
 from baselines.runs.tensors import moments_of, read_tensors, with_moments, write_tensors
 from baselines.sb3.config import algorithm_class
@@ -106,7 +106,7 @@ class SB3Policy(TrainedPolicy):
             actions, _ = self.network.predict(rows, deterministic=deterministic)
         return np.asarray(actions.reshape(len(seen), -1, 2))
 
-    def means(self, seen: torch.Tensor) -> torch.Tensor:
+    def step(self, seen: torch.Tensor, past: torch.Tensor | None) -> Step:
         network: Any = self.network
         rows, norm = seen.reshape(-1, self.shape["obs_size"]), self.normalization
         if norm is not None:
@@ -120,7 +120,7 @@ class SB3Policy(TrainedPolicy):
         else:
             parts = [network.action_net]
         means: torch.Tensor = torch.nn.Sequential(*parts)(rows)
-        return means.reshape(seen.shape[0], -1, 2)
+        return means.reshape(seen.shape[0], -1, 2), past
 
     def save(self, folder: Path) -> None:
         normalization = None if self.normalization is None else self.normalization.to_json()

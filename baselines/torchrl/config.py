@@ -19,7 +19,8 @@ class MultiAgentPPOConfig(TrainingAids):
     # "decentralized": each robot acts on its own observation. "centralized": one network maps all
     # observations to all forces, with one reward and one log-probability.
     actor: Actor
-    # It sees "centralized" all observations, or "independent" each robot's own.
+    # It sees "centralized" all observations, "state" the paper's vector, or "independent" each
+    # robot's own observation. The first two are one network, with a value for each robot.
     critic: Critic
     # Worlds stepped side by side, and decisions of each between two updates.
     num_worlds: Count
@@ -33,9 +34,14 @@ class MultiAgentPPOConfig(TrainingAids):
     # Widths of the hidden layers of actor and critic (tanh). A network over sets has two: of its
     # tokens, and of what follows.
     hidden: tuple[Count, ...]
-    # "full": one network for all robots. "full+id": one that also gets the robot's number
-    # (one-hot). "none": one for each robot. A central critic is one.
+    # "none": a network for each robot. "groups": one for all that are alike in dynamics, mass,
+    # force, speed limit and kind. "full": one for all robots. "full+id", "full+traits": one that
+    # also gets the robot's number (one-hot), or these traits of its own and of the others.
     sharing: Sharing
+    # The same of the critic, by default as the actor's.
+    critic_sharing: Sharing | None = None
+    # Units of a GRU cell behind the encoders of actor and critic, 0 for none.
+    memory: Annotated[int, Field(ge=0)] = 0
     learning_rate: tuple[Positive, Positive]
     adam_epsilon: Positive
     # The gradient of actor and critic together is clipped to this norm.
@@ -85,7 +91,5 @@ def load(
     given = {"num_worlds": num_envs} if num_envs is not None else {}
     place = f"hyperparameters of {algorithm}" if file is None else str(file)
     config = validate(MultiAgentPPOConfig, {**recorded, **overrides, **given}, place)
-    environment = {**config.environment, "one_hot": config.sharing == "full+id"}
-    if config.network == "entities":
-        environment["observation"] = "entities"
-    return config.model_copy(update={"environment": environment})
+    seen = {"observation": "entities"} if config.network == "entities" else {}
+    return config.model_copy(update={"environment": {**config.environment, **seen}})

@@ -6,14 +6,15 @@
 # forces and limits are per axis, so all eight symmetries of the square are exact without wind.
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Self
+from typing import Any, Self
 
 import torch
 from torch import nn
 
+from baselines.torchrl.memory import Memory, Past
 from mbn_marl.engine.mdp.entities import SCALES
 from mbn_marl.engine.mdp.observations import Entry
 
@@ -44,12 +45,28 @@ class Tokens:
     def split(self, rows: torch.Tensor, n: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return the tokens of rows (B, size) for n robots: (B, own), (B, n - 1, .), (B, m, .)."""
         own, robots = len(self.own), (n - 1) * len(self.robot)
-        parts = torch.split(rows, [own, robots, rows.shape[-1] - own - robots], -1)
+        rois = rows.shape[-1] - own - robots
+        parts = torch.split(rows, [own, robots, rois], -1)
         return (
             parts[0],
             parts[1].reshape(rows.shape[0], n - 1, len(self.robot)),
-            parts[2].reshape(rows.shape[0], -1, len(self.roi)),
+            parts[2].reshape(rows.shape[0], rois // len(self.roi), len(self.roi)),
         )
+
+    def wider(self, extras: int) -> Self:
+        """Return the tokens of robots with so many numbers more."""
+        more = tuple(f"extra_{k}" for k in range(extras))
+        return replace(self, own=self.own + more, robot=self.robot + more)
+
+    def beside(self, rows: torch.Tensor, extras: torch.Tensor) -> torch.Tensor:
+        """Return rows (..., n, size) with the ``extras`` (n, k) of each robot in its tokens."""
+        n, there = rows.shape[-2], rows.any(-1, keepdim=True)
+        own, robots, rois = self.split(rows.flatten(0, -2), n)
+        mine = (extras * there).flatten(0, -2)
+        theirs = (extras[others(n)] * there.unsqueeze(-1)).flatten(0, -3)
+        team = torch.cat([robots, theirs * robots[..., :1].ne(0.0)], -1)
+        parts = own, mine, team.flatten(1), rois.flatten(1)
+        return torch.cat(parts, -1).reshape(*rows.shape[:-1], -1)
 
     def way_left(self, rows: torch.Tensor, n: int) -> torch.Tensor:
         """Return how far a team has to go, as a robot sees it, (B,) units for rows (B, size)."""
@@ -61,6 +78,12 @@ class Tokens:
             return in_units(own[:, at]).sum(-1)
         at = [self.roi.index(name) for name in ("away", "others")]
         return in_units(rois[..., at].clamp(max=0.999)).amin(-1).sum(-1)
+
+
+# The numbers (n, n - 1) of the other robots of each.
+def others(n: int) -> torch.Tensor:
+    numbers = [[j for j in range(n) if j != i] for i in range(n)]
+    return torch.tensor(numbers, dtype=torch.long).reshape(n, n - 1)
 
 
 # The inverse of scaled = length / (|length| + FAR).
@@ -293,39 +316,103 @@ def _to_all(values: torch.Tensor, present: torch.Tensor, shape: torch.Size) -> t
     return whole.index_copy(0, present, values).reshape(*shape, -1)
 
 
-# Mean actions of a team of any size; those of absent robots, whose rows are 0, are 0.
-class SetActor(nn.Module):
-    def __init__(self, tokens: Tokens, widths: tuple[int, ...]) -> None:
+# A state (..., units) in the field turned as its robot sees it, or ``back``: the numbers of its
+# first half are vectors.
+def _turned(
+    state: torch.Tensor, signs: torch.Tensor, swap: torch.Tensor, *, back: bool = False
+) -> torch.Tensor:
+    pairs = state.shape[-1] // 4
+    vectors = state[..., : 2 * pairs].reshape(*state.shape[:-1], pairs, 2)
+    signs, swap = signs.unsqueeze(-2), swap.unsqueeze(-2)
+    if back:
+        vectors = Turned.back(vectors, signs, swap)
+    else:
+        vectors = vectors * signs
+        vectors = torch.where(swap, vectors.flip(-1), vectors)
+    return torch.cat([vectors.flatten(-2), state[..., 2 * pairs :]], -1)
+
+
+class SetMemory(Memory):
+    """A memory whose state is that of a robot in the field as it is, though its inputs turn."""
+
+    def forward(self, flow: torch.Tensor, past: Past, *frame: torch.Tensor) -> torch.Tensor:
+        return _turned(super().forward(flow, past, *frame), *frame)
+
+    def cell(self, state: torch.Tensor, drive: torch.Tensor, *frame: torch.Tensor) -> torch.Tensor:
+        return _turned(super().cell(_turned(state, *frame), drive), *frame, back=True)
+
+
+class SetNetwork(nn.Module):
+    """Outputs of the robots of a team of any size, 0 of absent ones, whose rows are 0."""
+
+    # Each from its own observation and, with ``team``, the mean of what all of the team see.
+    def __init__(
+        self, tokens: Tokens, widths: tuple[int, ...], *, team: bool = False, memory: int = 0
+    ) -> None:
         super().__init__()
+        self._team = team
         self.encoder = SetEncoder(tokens, widths)
-        self.head = _linear(widths[-1], 2, 0.01)
+        self.memory = SetMemory((0,), widths[-1], memory) if memory else None
+        self.width = (memory or widths[-1]) * (2 if team else 1)
 
-    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+    def forward(self, rows: torch.Tensor, past: Past | None = None) -> torch.Tensor:
         some, present = _of_present(rows)
-        flow, signs, swap = self.encoder(some, rows.shape[-2])
-        actions = self.encoder.turned.back(self.head(flow), signs, swap)
-        if torch.compiler.is_exporting():  # see _of_present
-            actions = actions * some.any(-1, keepdim=True)
-        return _to_all(actions, present, rows.shape[:-1])
-
-
-class SetCritic(nn.Module):
-    """Values of the robots of a team, 0 of absent ones."""
-
-    # If ``central``, each from its own observation and the mean of what all of the team see.
-    def __init__(self, tokens: Tokens, widths: tuple[int, ...], *, central: bool) -> None:
-        super().__init__()
-        self._central, last = central, widths[-1]
-        self.encoder = SetEncoder(tokens, widths)
-        self.mix = _layers(last * (2 if central else 1), last)
-        self.head = _linear(last, 1, 1.0)
-
-    def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        some, present = _of_present(rows)
-        flow, _, _ = self.encoder(some, rows.shape[-2])
-        if self._central:
+        flow, *frame = self.encoder(some, rows.shape[-2])
+        if self.memory is not None and past is not None:
+            parts = (_to_all(part, present, rows.shape[:-1]) for part in (flow, *frame))
+            flow = self.memory(next(parts), past, *parts).flatten(0, -2)[present]
+        if self._team:
             whole = _to_all(flow, present, rows.shape[:-1])
             count = rows.any(-1, keepdim=True).sum(-2, keepdim=True).clamp(min=1)
             team = (whole.sum(-2, keepdim=True) / count).expand_as(whole)
             flow = torch.cat([flow, team.reshape(-1, team.shape[-1])[present]], -1)
-        return _to_all(self.head(self.mix(flow)), present, rows.shape[:-1])
+        outputs = self.outputs(flow, *frame)
+        if torch.compiler.is_exporting():  # see _of_present
+            outputs = outputs * some.any(-1, keepdim=True)
+        return _to_all(outputs, present, rows.shape[:-1])
+
+    def outputs(self, flow: torch.Tensor, *frame: torch.Tensor) -> torch.Tensor:
+        raise NotImplementedError
+
+
+class SetActor(SetNetwork):
+    def __init__(self, tokens: Tokens, widths: tuple[int, ...], **how: Any) -> None:
+        super().__init__(tokens, widths, **how)
+        self.mix = _layers(self.width, widths[-1]) if self._team else nn.Identity()
+        self.head = _linear(widths[-1] if self._team else self.width, 2, 0.01)
+
+    def outputs(self, flow: torch.Tensor, *frame: torch.Tensor) -> torch.Tensor:
+        return Turned.back(self.head(self.mix(flow)), *frame)
+
+
+class SetCritic(SetNetwork):
+    def __init__(self, tokens: Tokens, widths: tuple[int, ...], **how: Any) -> None:
+        super().__init__(tokens, widths, **how)
+        self.mix = _layers(self.width, widths[-1])
+        self.head = _linear(widths[-1], 1, 1.0)
+
+    def outputs(self, flow: torch.Tensor, *frame: torch.Tensor) -> torch.Tensor:
+        values: torch.Tensor = self.head(self.mix(flow))
+        return values
+
+
+class Several(nn.Module):
+    """A network over sets for each group of robots; it sees only the rows of its own."""
+
+    def __init__(self, of: tuple[int, ...], make: Callable[[], SetNetwork]) -> None:
+        super().__init__()
+        self.each = nn.ModuleList(make() for _ in range(max(of) + 1))
+        members = torch.eye(max(of) + 1)[list(of)].T.unsqueeze(-1)
+        self.register_buffer("_members", members, False)
+
+    _members: torch.Tensor
+
+    def forward(self, rows: torch.Tensor, past: Past | None = None) -> torch.Tensor:
+        outputs, states = [], []
+        for network, mine in zip(self.each, self._members, strict=True):
+            outputs.append(network(rows * mine, past))
+            if past is not None:
+                states.append((past.before * mine, past.after * mine))
+        if past is not None:
+            past.before, past.after = (torch.stack(s).sum(0) for s in zip(*states, strict=True))
+        return torch.stack(outputs).sum(0)

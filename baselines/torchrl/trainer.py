@@ -1,10 +1,12 @@
 """MAPPO, IPPO and joint PPO of TorchRL's parts: collect, estimate advantages, descend, repeat."""
 
+import math
 import time
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from pydantic import TypeAdapter
@@ -21,18 +23,27 @@ from baselines.runs.files import read_arrays, read_json, reading, write_arrays, 
 from baselines.runs.folder import saved_at
 from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.entities import Tokens
-from baselines.torchrl.networks import DISTRIBUTIONS, GaussianPolicy, Key, TeamShape, ValueNetwork
-from baselines.torchrl.policy import TeamPolicy
+from baselines.torchrl.memory import CHUNK
+from baselines.torchrl.networks import (
+    DISTRIBUTIONS,
+    GaussianPolicy,
+    Key,
+    Sharing,
+    TeamShape,
+    ValueNetwork,
+)
+from baselines.torchrl.policy import TeamPolicy, is_shared
 from baselines.training.aids import STAGES, RoiCurriculum, between
 from baselines.training.config import Budget, Task
 from baselines.training.run_logger import Recorder
 from mbn_marl.adapters.torchrl import NavigationEnv
-from mbn_marl.config import make_config
+from mbn_marl.config import LIMITS, Dynamics, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import FieldSampler
 
 NETWORKS, OPTIMIZER = "networks.safetensors", "optimizer.safetensors"
+MEMORIES = "memories.safetensors"
 WORLDS, COUNTERS = "worlds.npz", "counters.json"
 MINIMISED = ("loss_objective", "loss_critic", "loss_entropy")
 LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction")
@@ -45,18 +56,26 @@ def train(task: Task, hyperparameters: MultiAgentPPOConfig, recorder: Recorder) 
 def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
     settings, drawn = make_config(task.settings), isinstance(task.field, FieldSampler)
     sets = hyperparameters.network == "entities"
-    most = task.field.robots[1] if drawn else len(task.field.starts)  # type: ignore[union-attr]
-    few = (settings.n_robots or most) < 2
-    wrong = {
-        "scattered": (drawn, 0.0, "on random fields"),
-        "shaping": (not sets, 0.0, "with network mlp"),
-        "sharing": (sets, "full", "with network entities"),
-        "actor": (sets, "decentralized", "with network entities"),
-    }
+    sizes: Any = task.field.robots if drawn else (len(task.field.starts),) * 2  # type: ignore[union-attr]
+    few, varies = (settings.n_robots or sizes[1]) < 2, drawn and sizes[0] < sizes[1]
+    apart = not is_shared(settings, task.field.arena)
+    unknown = any(name.startswith(LIMITS) for name in settings.drawn)
+    wrong: list[tuple[str, bool, tuple[Any, ...], str]] = [
+        ("scattered", drawn, (0.0,), "on random fields"),
+        ("shaping", not sets, (0.0,), "with network mlp"),
+        ("critic", drawn, ("centralized", "independent"), "on random fields"),
+        ("actor", apart, ("decentralized",), "where robots do not hear all others at once"),
+    ]
+    for name in ("sharing", "critic_sharing"):
+        same = "none", "full", "full+id", None
+        wrong += [
+            (name, varies, ("full", None), "with teams of different sizes"),
+            (name, unknown and not varies, same, "where episodes draw traits"),
+        ]
     problems = [
-        f"{name}: {value!r}; allowed {where}: {allowed!r}"
-        for name, (applies, allowed, where) in wrong.items()
-        if applies and (value := getattr(hyperparameters, name)) != allowed
+        f"{name}: {value!r}; allowed {where}: {', '.join(map(repr, allowed))}"
+        for name, applies, allowed, where in wrong
+        if applies and (value := getattr(hyperparameters, name)) not in allowed
     ]
     seen, widths = settings.observation, list(hyperparameters.hidden)
     of_sets = {
@@ -72,6 +91,18 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
         BatchEngine(**{**training, "field": task.field}, num_worlds=1)
     if problems:
         raise ConfigError("training", problems)
+
+
+def traits_of(config: NavigationConfig, n: int, kinds: Sequence[int]) -> list[tuple[float, ...]]:
+    """Return of each robot mass, force and speed limit over the usual, its dynamics and kind."""
+    usual, traits = make_config({}), []
+    parts = (config.of_each(name, n) for name in (*LIMITS, "dynamics"))
+    for *limits, dynamics, kind in zip(*parts, kinds or (0,) * n, strict=False):
+        numbers = [one / getattr(usual, name) for one, name in zip(limits, LIMITS, strict=True)]
+        flags = [dynamics == one for one in get_args(Dynamics)]
+        flags += [kind == one for one in sorted(set(kinds))]
+        traits.append((*numbers, *map(float, flags)))
+    return traits
 
 
 def budget(task: Task, hyperparameters: MultiAgentPPOConfig) -> Budget:
@@ -93,21 +124,22 @@ class Trainer:
         env = self._make_env()
         engine, sets = env.engine, config.network == "entities"
         self.tokens = Tokens.of(engine.observation_table) if sets else None
-        shape = TeamShape(
-            *(engine.obs_size, env.n_agents, config.hidden, config.sharing, config.actor),
-            tokens=self.tokens,
-        )
+        shape = self._shape(config.sharing, engine)
         self.network = GaussianPolicy(shape, config.log_std_start).to(env.device)
-        self.critic = ValueNetwork(shape, config.critic).to(env.device)
+        shape = self._shape(config.critic_sharing or config.sharing, engine)
+        state = engine.state_low.size, engine.n_rois
+        self.critic = ValueNetwork(shape, config.critic, state).to(env.device)
+        joint = config.actor == "centralized"
+        self.works = (Key.MASK,) if joint and engine.may_rest else ()
         self.actor = ProbabilisticActor(
             self.network,
-            in_keys=[Key.LOC, Key.SCALE],
+            in_keys=[Key.LOC, Key.SCALE, *self.works],
             out_keys=[Key.ACTION],
             distribution_class=DISTRIBUTIONS[config.actor],
             return_log_prob=True,
             log_prob_key=Key.LOG_PROB,
         )
-        self.loss = (MAPPOLoss if config.critic == "centralized" else IPPOLoss)(
+        self.loss = (IPPOLoss if config.critic == "independent" else MAPPOLoss)(
             self.actor,
             self.critic,
             clip_epsilon=config.clip,
@@ -122,12 +154,27 @@ class Trainer:
         self.estimator = MultiAgentGAE(
             gamma=config.gamma, lmbda=config.gae_lambda, value_network=None, vectorized=False
         )
-        reward = ("team_reward",) if config.actor == "centralized" else ("robots", "reward")
+        reward = ("team_reward",) if joint else ("robots", "reward")
         self.estimator.set_keys(value=Key.VALUE, reward=reward)
         self.reward = ("next", *reward)
         self.parameters = list(self.loss.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, eps=config.adam_epsilon, fused=True)
         self._collect_from(env)
+
+    def _shape(self, sharing: Sharing, engine: BatchEngine) -> TeamShape:
+        config, n = self.config, engine.n_robots
+        shape = TeamShape(
+            *(engine.obs_size, n, config.hidden, sharing, config.actor, self.tokens, config.memory)
+        )
+        if sharing == "full+id":
+            return replace(shape, extras=tuple(map(tuple, torch.eye(n).tolist())))
+        if sharing in ("none", "full"):
+            return shape
+        traits = traits_of(engine.config, n, getattr(self.task.field, "start_kinds", ()))
+        if sharing == "full+traits":
+            return replace(shape, extras=tuple(traits))
+        alike = [*dict.fromkeys(traits)]
+        return replace(shape, groups=tuple(map(alike.index, traits)))
 
     def _make_env(self, **changed: Any) -> NavigationEnv:
         config, worlds = self.task.config, self.config.num_worlds
@@ -136,9 +183,9 @@ class Trainer:
             seed=self.curriculum.seed(config.seed),
             device=config.device,
             threads=1,
-            state=False,
+            state=self.config.critic == "state",
             team_reward=self.config.actor == "centralized",
-            metrics=("success", "episode_return"),
+            metrics=("success", "episode_return", *["steps"] * bool(self.config.memory)),
             **{**self.config.in_training(self.task, self.curriculum, worlds), **changed},
         )
 
@@ -180,6 +227,7 @@ class Trainer:
             self._estimate(rollout)
             losses = self._descend(self._samples(rollout))
             self.network.norm.update(rollout[Key.OBSERVATION])
+            self.critic.update(rollout)
             diagnostics = {
                 "rollout_seconds": collected - started,
                 "update_seconds": time.perf_counter() - collected,
@@ -211,7 +259,14 @@ class Trainer:
         # An episode cut off by the time limit bootstraps from the value of its last
         # observation, rollout["next"], never from that of the next episode's first.
         self.critic(rollout)
-        self.critic(self.network.norm(rollout["next"]))
+        following = self.network.norm(rollout["next"])
+        if self.config.memory:
+            # A step each, after what the critic remembers of the steps before.
+            seen = following.select(*self.critic.in_keys, self.critic.first).reshape(-1)
+            values = self.critic(seen)[Key.VALUE].unflatten(0, rollout.shape)
+            following.set(Key.VALUE, values)
+        else:
+            self.critic(following)
         rollout[self.reward] *= self.config.reward_scale
         if self.tokens is not None and self.config.shaping:
             rollout[self.reward] += self.config.shaping * self._shaped(rollout, self.tokens)
@@ -223,24 +278,36 @@ class Trainer:
             works = rollout[Key.MASK].unsqueeze(-1)
         known = advantage[works]
         rollout["advantage"] = (advantage - known.mean()) / (known.std() + 1e-8) * works
-        if self.env.engine.teams_vary:
+        if self.env.engine.teams_vary and self.config.actor == "decentralized":
             rollout["value_target"] *= rollout[Key.OBSERVATION].any(-1, keepdim=True)
 
     def _samples(self, rollout: TensorDictBase) -> TensorDictBase:
-        kept = (Key.NORMALIZED, Key.ACTION, Key.LOG_PROB, "advantage", "value_target")
-        return rollout.select(*kept).reshape(-1)
+        kept = (Key.ACTION, Key.LOG_PROB, "advantage", "value_target")
+        memories = (self.network, self.critic) if self.config.memory else ()
+        states = (one.before for one in memories)
+        samples = rollout.select(*self.critic.in_keys, *self.works, *kept, *states)
+        if not memories:
+            return samples.reshape(-1)
+        # Sequences, with the states before their first steps.
+        samples = samples.reshape(-1, math.gcd(CHUNK, self.config.rollout_steps))
+        samples.batch_size = samples.batch_size[:1]
+        for one in memories:
+            samples.set(one.first, samples.pop(one.before)[:, 0])
+        return samples
 
     def _shaped(self, rollout: TensorDictBase, tokens: Tokens) -> torch.Tensor:
         # By how many units each decision has shortened the ways left, discounted. After the end
         # of an episode nothing is left.
-        rows, seen = rollout[self.reward].shape, (rollout, rollout["next"])
-        before, after = (
-            tokens.way_left(td[Key.OBSERVATION].flatten(0, -2), self.env.n_agents).reshape(rows)
-            for td in seen
-        )
-        running = ~rollout["next", "terminated"].unsqueeze(-2)
-        nearer: torch.Tensor = before - self.estimator.gamma * after * running
-        return nearer
+        # One reward for the team is that of the mean over its robots.
+        rows, ways = rollout[Key.OBSERVATION].shape[:-1], []
+        for seen in (rollout[Key.OBSERVATION], rollout["next", *Key.OBSERVATION]):
+            way = tokens.way_left(seen.flatten(0, -2), rows[-1]).reshape(rows)
+            if "team_reward" in self.reward:
+                way = way.sum(-1, keepdim=True) / seen.any(-1).sum(-1, keepdim=True).clamp(min=1)
+            ways.append(way)
+        running = ~rollout["next", "terminated"]
+        nearer: torch.Tensor = ways[0] - self.estimator.gamma * ways[1] * running
+        return nearer.reshape(rollout[self.reward].shape)
 
     def _descend(self, samples: TensorDictBase) -> dict[str, float]:
         # The normalisation does not change meanwhile: old and new log-probabilities are of the
@@ -265,6 +332,9 @@ class Trainer:
         moments = tensors.moments_of(self.optimizer.state_dict())
         tensors.write_tensors(folder / OPTIMIZER, moments)
         write_arrays(folder / WORLDS, self.env.save_state(), compress=True)
+        if self.config.memory:
+            states = {one.name: one.past for one in (self.network, self.critic)}
+            tensors.write_tensors(folder / MEMORIES, states)
         counters: dict[str, Any] = {"env_steps": env_steps, "grown": self.grown}
         counters["curriculum"] = asdict(self.curriculum)
         write_json(folder / COUNTERS, {**counters, "generators": tensors.save_generators()})
@@ -282,6 +352,10 @@ class Trainer:
             env.load_state(read_arrays(folder / WORLDS))
             self._collect_from(env)
             # Last, since a new collector tries the policy.
+            if self.config.memory:
+                states = tensors.read_tensors(folder / MEMORIES)
+                for one in (self.network, self.critic):
+                    one.past = states[one.name].to(env.device)
             tensors.restore_generators(counters["generators"])
             began = self.recorder.began
             return saved_at(folder, began + counters["env_steps"]) - began

@@ -12,7 +12,7 @@ from shapely import Point
 from baselines.training.config import Hyperparameters, Task
 from mbn_marl.config import Uniform, make_config
 from mbn_marl.field import Field
-from mbn_marl.field.schema import SAFETY_DISTANCE
+from mbn_marl.field.schema import KINDS, SAFETY_DISTANCE
 
 Count = Annotated[int, pydantic.Field(ge=1)]
 Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
@@ -119,8 +119,8 @@ def with_other_starts(field: Field, apart: float, rng: np.random.Generator) -> F
         if clear and field.polygon.covers(Point(point)):
             starts.append(point)
         if len(starts) == len(field.starts):
-            others = np.array(starts)
-            return Field(field.vertices, field.rois, others, field.holes, arena=field.arena)
+            others, kept = np.array(starts), {n: getattr(field, n) for n in ("arena", *KINDS)}
+            return Field(field.vertices, field.rois, others, field.holes, **kept)
     return field
 
 

@@ -50,8 +50,8 @@ class TrainConfig:
     field: Positional[Annotated[str, arg(metavar="FIELD")]]
     # A: the paper's library defaults, raw observation and reward. B: its Optuna values. C: as A,
     # from a policy trained on another field. N: normalised observation, scaled reward. J (ppo,
-    # trpo): as N, with the observations and training aids of ppo-joint. G (mappo, ippo): one policy
-    # for every field, a network over sets.
+    # trpo): as N, with the observations and training aids of ppo-joint. G (mappo, ippo, ppo-joint):
+    # one policy for every field, a network over sets.
     setting: Setting = "N"
     # Of networks, exploration and worlds, 0 to 2^32 - 1; by default 33 under A, B and C, 0 under
     # the others.

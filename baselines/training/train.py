@@ -22,7 +22,7 @@ from mbn_marl.errors import ActionError, ConfigError, MbnError, collecting
 from mbn_marl.field import Field, FieldSampler, load_fields
 
 # The hyperparameters that decide which networks there are.
-NETWORK = ("actor", "network", "hidden", "sharing")
+NETWORK = ("actor", "network", "hidden", "sharing", "memory")
 
 
 def train(
@@ -123,7 +123,7 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
     fields = load_fields(config.field)
     if isinstance(fields, FieldSampler):
         if getattr(hyperparameters, "network", None) != "entities":
-            allowed = "with setting G of mappo and ippo, or network=entities"
+            allowed = "with setting G, or network=entities"
             problem = f"field: {config.field} is random fields; allowed: {allowed}"
             raise ConfigError("training", [problem])
         # Runs with other seeds train on other fields.
@@ -197,7 +197,8 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
         seen = acts_on(source.fields, trained)
         here = acts_on(task.field, environment)
         compared = {name: (seen.get(name), here.get(name)) for name in {**seen, **here}}
-    theirs = {"network": "mlp", **config["hyperparameters"]}  # the zoo's first have no other
+    # The zoo's first have no other network, and no memory.
+    theirs = {"network": "mlp", "memory": 0, **config["hyperparameters"]}
     compared |= {f"hyperparameters.{name}": (theirs.get(name), asked[name]) for name in asked}
     problems = [
         f"{name}: the policy's run has {theirs}, this run {ours}"

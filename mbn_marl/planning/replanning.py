@@ -279,3 +279,14 @@ class Tracker:
             count = int(np.ceil((last - first) / (1.0 if first == 0 else pace)))
             times.append(np.linspace(first, last, count + 1)[1:])
         return np.concatenate(times)
+
+
+class Replay:
+    """Takes a plan's actions, then none, whatever happens. A copy continues from the same state."""
+
+    def __init__(self, problem: Problem, plan: Plan) -> None:
+        self.actions, self.step = plan.actions, 0
+
+    def act(self, *state: FloatArray | Flags) -> NDArray[np.float32]:
+        k, self.step = self.step, self.step + 1
+        return self.actions[k] if k < len(self.actions) else np.zeros_like(self.actions[0])

@@ -158,6 +158,8 @@ def compare(world: World, dtype: str, num_worlds: int, which: int) -> Counter[st
 
 ORDER = ("bicycle", "holonomic", "unicycle", "point_mass")
 TEAMS, FEW = (1, 2, 3, 5, 7), (2, 3)
+LOCAL = {**OWN, "observation": "local"}
+HIDDEN = {"observation": "lidar_local", "hidden_rois": True}
 PLAIN = [{"observation": name} for name in ("relative", "local", "state")]
 COMPILED: dict[str, tuple[str, tuple[int, ...], list[dict[str, Any]]]] = {
     "plain": ("float32", TEAMS, PLAIN),
@@ -166,9 +168,9 @@ COMPILED: dict[str, tuple[str, tuple[int, ...], list[dict[str, Any]]]] = {
     "all of it": ("float64", TEAMS, [DRAWN]),
     "and entities": ("float32", FEW, [{**DRAWN, **ASSIGNED}]),
     "own": ("float64", FEW, [{**DRAWN, **OWN, "hidden_rois": True, "observation": "entities"}]),
-    "own, local": ("float64", FEW, [{**OWN, "observation": f"{by}local"} for by in ("", "lidar_")]),
+    "own, local": ("float64", FEW, [LOCAL, {**OWN, **HIDDEN}]),
     "kinds": ("float32", FEW, [{**DRAWN, **ASSIGNED}]),
-    "kinds, own": ("float64", FEW, [{**OWN, "observation": f"{by}local"} for by in ("", "lidar_")]),
+    "kinds, own": ("float64", FEW, [LOCAL, {**OWN, **HIDDEN}]),
     "and entities, fresh": ("float32", FEW, [{**DRAWN, **ASSIGNED, "assignment": "fresh"}]),
 }
 *GATE, LAST = COMPILED

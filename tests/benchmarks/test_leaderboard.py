@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from baselines.compare.benchmark import load_protocol, load_tiers, run_benchmark
-from baselines.runs.files import write_json
+from baselines.runs.files import read_json, write_json
 from benchmarks.__main__ import main
-from benchmarks.leaderboard import leaderboard
+from benchmarks.leaderboard import SPLIT, _problems, leaderboard
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import splits
 from tests.support.frozen import write_split, write_splits
@@ -27,6 +27,15 @@ Results = dict[str, dict[str, Any]]
 def test_the_committed_page_is_that_of_the_committed_results() -> None:
     page = ROOT / "docs" / "results" / "leaderboard.md"
     assert page.read_text(encoding="utf-8") == leaderboard(page.with_suffix(""))
+
+
+@pytest.mark.all
+def test_the_committed_searches_are_of_the_fields_of_today() -> None:
+    frozen = load_tiers(SPLIT, [splits.SEARCH])
+    paths = [*(ROOT / "docs" / "results" / "search").glob("*.json")]
+    assert paths
+    for path in paths:
+        assert not [*_problems(read_json(path), frozen)], path
 
 
 @pytest.fixture(scope="module")

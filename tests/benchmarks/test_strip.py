@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pandas
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.strip import COLUMNS, FIELDS, strip
-from benchmarks.tables import fill, rows_of
+from benchmarks.strip import COLUMNS, FIELDS, RADII, reach, strip
+from benchmarks.tables import fill, rows_of, searched
 from tests.support.pages import ROOT
 
 HEADING = "label,field,seed,passed,deterministic_gap,spl\n"
@@ -27,6 +28,9 @@ def results(tmp_path: Path) -> Path:
         own = [name for name, place in COLUMNS.items() if place == study and name != "mappo"]
         lines = "".join(f"{label},field_01,,True,0.5,0.5\n" for label in own)
         (tmp_path / study / "runs.csv").write_text(HEADING + lines)
+    (tmp_path / "search").mkdir()
+    gaps = "".join(f"greedy-local,a,{radius},{1 / (1 + radius)}\n" for radius in (0.0, math.inf))
+    (tmp_path / "search" / "radii.csv").write_text(f"policy,field,comm_radius,gap\n{gaps}")
     with (tmp_path / "forms" / "runs.csv").open("a") as file:
         file.write(RUNS)
     return tmp_path
@@ -37,6 +41,9 @@ def test_figure_has_a_dot_a_run_and_counts_failures(results: Path) -> None:
     shown = pandas.read_csv(results / "strip.csv")
     assert [*dict.fromkeys(shown.label)] == [*COLUMNS] and len(shown) == len(COLUMNS) + 2
     assert (results / "strip.png").stat().st_size and (results / "forms" / "gaps.png").is_file()
+    assert (results / "search" / "radii.png").is_file()
+    (axes,) = reach(pandas.read_csv(results / "search" / "radii.csv")).axes
+    assert axes.lines[0].get_xydata().tolist() == [[0.0, 2.0], [len(RADII) - 1, 1.0]]
     (axes,) = strip({"mappo": shown[shown.label == "mappo"]}).axes
     dots, crosses = axes.lines
     assert dots.get_ydata().tolist() == pytest.approx([1.1, 1.3])
@@ -53,6 +60,21 @@ def test_table_is_written_below_its_mark_once(results: Path) -> None:
         assert lines[2] == "| mappo | 2/3 | 21%..94% | 30% | 30% | 0 | 0.550 |", "the best SPL"
         assert len(lines) == 5
         assert text.endswith("\n\nb\n\n<!-- table: later -->\n\nc\n")
+
+
+def test_prices_and_success_of_a_policy_that_knows_its_own(tmp_path: Path) -> None:
+    rows = [
+        {
+            **{"field": field, "comm_radius": radius, "information": "own"},
+            **{"makespan_lower_bound": 10, "mean": {"makespan": steps, "success_rate": 1.0}},
+        }
+        for field, all_steps in (("a", (60, 30, 20)), ("b", (40, 20, 20)))
+        for radius, steps in zip(("0", "100", "inf"), all_steps, strict=True)
+    ]
+    rows[0]["mean"] = {"makespan": None, "success_rate": 0.0}
+    (tmp_path / "own.json").write_text(json.dumps({"tiers": {"6-search": {"instances": rows}}}))
+    (line,) = searched(tmp_path).lines
+    assert line == ("own", "own", "50% / 100% / 100%", "2.00", "1.25 (1.00..1.50)", "2.00")
 
 
 @pytest.mark.parametrize(

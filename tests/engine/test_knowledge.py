@@ -113,7 +113,6 @@ def test_the_end_is_that_of_the_real_rois() -> None:
         ({**OWN, "assignment": True}, "knowledge"),
         *(({name: 1}, name) for name in ("comm_radius", "look_radius", "comm_delay", "decoys")),
         ({"comm_loss": 0.1}, "comm_loss"),
-        ({**OWN, "observation": "local", "hidden_rois": True}, "hidden_rois"),
         ({**OWN, "comm_radius": math.nan}, "comm_radius"),
         ({**OWN, "comm_radius": -1.0}, "comm_radius"),
         ({**OWN, "decoys": (3, 1)}, "decoys"),

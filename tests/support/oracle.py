@@ -208,7 +208,7 @@ class Oracle:
         here = self.robots[i]
         there = replace(here, x=here.x + self.real(shift[0]), y=here.y + self.real(shift[1]))
         me, *others = self._seen_robots(i, there)
-        rois = [(roi, self.is_done(i, j)) for j, roi in enumerate(self.rois)]
+        rois = [(roi, not self.is_left(i, j)) for j, roi in enumerate(self.rois)]
         rois += [(self.rois[0], True)] * missing
         if self.observation == "state":
             seen = [body.seen * body.position for body in (me, *others)]

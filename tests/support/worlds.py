@@ -32,7 +32,7 @@ ASSIGNED = {"observation": "entities", "assignment": True}
 OWN = {
     **{"knowledge": "own", "comm_radius": 60.0, "look_radius": 20.0, "sensing_radius": 50.0},
     **{"comm_delay": 2, "comm_loss": 0.3, "decoys": (0, 2)},
-}  # Hidden ROIs are for entities alone
+}
 DRAWN = {
     **{name: Uniform(0.2 * value, value) for name, value in DISTURBANCES.items()},
     **{"action_delay": 1, "wind": (Uniform(0.0, 0.3), Uniform(-720.0, 720.0))},

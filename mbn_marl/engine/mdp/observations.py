@@ -22,7 +22,7 @@ from mbn_marl.engine.mdp.entities import entity_rows, put_entities, shows_entiti
 from mbn_marl.engine.mdp.events import visit_code, within
 from mbn_marl.engine.mdp.failures import blank_absent, blank_gone, put_flag
 from mbn_marl.engine.mdp.kinds import put_mine
-from mbn_marl.engine.mdp.knowledge import hide_unnoticed, is_done, knows_own
+from mbn_marl.engine.mdp.knowledge import hide_unnoticed, is_left, knows_own
 from mbn_marl.engine.mdp.lidar import has_rays
 from mbn_marl.engine.mdp.sight import (
     Robots,
@@ -212,7 +212,7 @@ def put_roi(p, g, view, lo, hi, j, k):
         f = column(field, w)
         tile[k, w - lo] = (roi_place(g, view, 0, j, f, w) - robots.x[i, w]) * p.per_arena_x
         tile[k + 1, w - lo] = (roi_place(g, view, 1, j, f, w) - robots.y[i, w]) * p.per_arena_y
-        tile[k + 2, w - lo] = p.one if is_done(g, view.ep, i, j, w) else p.zero
+        tile[k + 2, w - lo] = p.zero if is_left(p, g, view.ep, i, j, w) else p.one
 
 
 @compiled

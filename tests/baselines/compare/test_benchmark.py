@@ -177,7 +177,8 @@ def test_each_instance_is_evaluated_with_its_own_seed(source: str, tmp_path: Pat
         (Policy(), {"observation": "lidar_local"}, "own sight"),
         (RandomPolicy(), {}, "-"),
         (Policy(), {"observation": "local", "knowledge": "own"}, "own"),
-        (Shielded(Policy()), {"observation": "local", "knowledge": "own"}, "state"),
+        (Shielded(Policy()), {"observation": "local", "knowledge": "own"}, "own"),
+        (Shielded(Policy()), {"observation": "local"}, "state"),
         (Shielded(RandomPolicy()), {}, "state"),
     ],
 )
@@ -278,6 +279,12 @@ def test_a_search_has_rows_and_prices_at_each_radius(tmp_path: Path) -> None:
     assert len(priced.lines) == 3
     told = rows[0] | {"mean": None}
     assert "price of decentralisation, 0" not in prices([told])
+
+
+def test_the_radii_of_a_field_have_the_same_seed(tmp_path: Path) -> None:
+    rows = run("random", ["6-search"], tmp_path)["tiers"]["6-search"]["instances"]
+    one, other = ([row["mean"] for row in rows[k : k + 3]] for k in (0, 3))
+    assert one == one[:1] * 3 and other == other[:1] * 3 and one != other
 
 
 def test_what_the_tier_fixes_is_no_choice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

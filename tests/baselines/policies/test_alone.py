@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from baselines.evaluation.evaluate import evaluate
 from baselines.policies.load import load_trained, open_run
 from baselines.policies.own import OwnPolicy
 from baselines.policies.policy import Alone, Policy, RandomPolicy
@@ -86,6 +87,21 @@ def test_a_network_over_sets_knows_the_size_of_its_team() -> None:
     assert isinstance(robots, Alone)
     actions = robots.act(seen, deterministic=True)
     np.testing.assert_allclose(actions, team.act(seen, deterministic=True), atol=1e-5)
+
+
+@pytest.mark.parametrize("observation", ["local", "lidar_local", "entities"])
+def test_behind_the_shield_each_robot_keeps_away_by_its_row_alone(observation: str) -> None:
+    own = {**OWN, "observation": observation, "max_steps": 200}
+    assert any(evaluate(RandomPolicy(), "field_03", own, episodes=20).collisions)
+    found = evaluate(Shielded(RandomPolicy()), "field_03", own, episodes=20)
+    assert not any(found.collisions) and sum(found.steps) > 2_000
+    assert observation == "entities" or not any(found.wall_hits), "entities shows no place"
+    engine = BatchEngine("field_03", 2, threads=1, **own)
+    shield, rows = Shielded(RandomPolicy()).fit(engine)._own, engine.reset(seed=1)
+    assert shield is not None
+    actions = np.full((2, 3, 2), 0.7, np.float32)
+    alone = [shield.act(actions[:, i : i + 1], rows[:, i : i + 1]) for i in range(3)]
+    np.testing.assert_array_equal(np.concatenate(alone, 1), shield.act(actions, rows))
 
 
 def test_an_engine_of_own_knowledge_wants_robots_alone() -> None:

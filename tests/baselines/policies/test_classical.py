@@ -26,7 +26,9 @@ pytestmark = pytest.mark.slow
 FIELD = load_field("field_03")
 
 
-@pytest.mark.parametrize(("name", "makespan"), [("greedy", 22), ("planner", 17), ("replan", 17)])
+@pytest.mark.parametrize(
+    ("name", "makespan"), [("greedy", 22), ("planner", 17), ("replan", 17), ("open-loop", 17)]
+)
 def test_classical_policies(name: str, makespan: int) -> None:
     summary = evaluate(make_classical(name, FIELD, {}), FIELD, {}, episodes=3).summary()
     assert (summary["success_rate"], summary["wall_hits"]) == (1.0, 0.0)
@@ -39,20 +41,27 @@ def test_they_leave_out_the_empty_rois() -> None:
     engine.reset()
     bounds = [plan(FIELD, visited=np.flatnonzero(row).tolist()).makespan for row in engine.decoys]
     assert min(bounds) < 17
-    for name in ("greedy", "planner", "replan"):
+    for name in ("greedy", "planner", "replan", "open-loop"):
         found = evaluate(make_classical(name, FIELD, own), FIELD, own, episodes=3, seed=4)
         assert found.successes == [True] * 3
         assert found.steps == bounds or name == "greedy"
+
+
+@pytest.mark.parametrize(("name", "field"), [("open-loop", "field_04"), ("blind", "field_03")])
+def test_actions_of_another_field_and_of_blind_robots_fail(name: str, field: str) -> None:
+    policy, where = make_classical(name, load_field(field), LOCAL), {**LOCAL, "max_steps": 200}
+    assert evaluate(policy, FIELD, where, episodes=1).successes == [False]
 
 
 LOCAL: dict[str, Any] = {"observation": "lidar_local", "knowledge": "own", "comm_radius": 50.0}
 
 
 @pytest.mark.parametrize("field", ["field_03", "field_09"])  # field_09 has corners to go round
-def test_greedy_local_acts_on_each_robots_row_alone(field: str) -> None:
-    place = load_field(field)
-    team, alone = (make_classical("greedy-local", place, LOCAL) for _ in range(2))
-    engine = BatchEngine(place, 2, **LOCAL)
+@pytest.mark.parametrize("change", [{}, {"hidden_rois": True, "sensing_radius": 50.0}], ids=str)
+def test_greedy_local_acts_on_each_robots_row_alone(field: str, change: dict[str, Any]) -> None:
+    place, settings = load_field(field), {**LOCAL, **change}
+    team, alone = (make_classical("greedy-local", place, settings) for _ in range(2))
+    engine = BatchEngine(place, 2, **settings)
     observations, robots = engine.reset(), alone.fit(engine)
     assert isinstance(robots, Alone)
     ends = 0

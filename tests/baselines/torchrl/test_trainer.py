@@ -19,9 +19,10 @@ from baselines.torchrl import trainer
 from baselines.torchrl.config import load
 from baselines.torchrl.entities import SetActor, SetCritic, Tokens
 from baselines.torchrl.networks import Key
-from baselines.torchrl.trainer import Trainer
+from baselines.torchrl.trainer import Trainer, traits_of
 from baselines.training.config import TrainConfig
 from baselines.training.train import prepare, train
+from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import FieldSampler, load_fields
@@ -33,10 +34,8 @@ pytestmark = pytest.mark.slow
 
 def test_algorithms_differ_by_what_actor_and_critic_see_alone() -> None:
     of = {"mappo": ("decentralized", "centralized"), "ippo": ("decentralized", "independent")}
-    for setting, seen in {
-        "N": {**of, "ppo-joint": ("centralized", "centralized")},
-        "G": of,
-    }.items():
+    seen = {**of, "ppo-joint": ("centralized", "centralized")}
+    for setting in ("N", "G"):
         blocks = [load(name, setting, {}).model_dump() for name in seen]
         assert [(one.pop("actor"), one.pop("critic")) for one in blocks] == [*seen.values()]
         assert all(one == blocks[0] for one in blocks)
@@ -51,9 +50,9 @@ def test_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
 SMALL = {"num_worlds": 4, "rollout_steps": 32, "hidden": [8]}
 
 
-@pytest.mark.parametrize("algorithm", ["mappo", "ppo-joint"])
+@pytest.mark.parametrize(("algorithm", "memory"), [("mappo", 0), ("ppo-joint", 0), ("mappo", 6)])
 def test_a_time_limit_is_bootstrapped_and_a_termination_is_not(
-    algorithm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    algorithm: str, memory: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kept = []
     samples = trainer.Trainer._samples
@@ -61,12 +60,16 @@ def test_a_time_limit_is_bootstrapped_and_a_termination_is_not(
     @torch.no_grad()
     def keep(self: Any, rollout: Any) -> Any:
         made = samples(self, rollout)
+        # An update begins with the probabilities that the rollout had, also in the middle of it.
+        again = self.actor.get_dist(made).log_prob(made[Key.ACTION])
+        torch.testing.assert_close(again, made[Key.LOG_PROB], atol=1e-4, rtol=1e-4)
         seen = TensorDict({Key.NORMALIZED: rollout["next", *Key.NORMALIZED]}, rollout.batch_size)
-        kept.append((self.reward, rollout.clone(), self.critic(seen)[Key.VALUE]))
+        last = rollout["next", Key.VALUE] if memory else self.critic(seen)[Key.VALUE]
+        kept.append((self.reward, rollout.clone(), last))
         return made
 
     monkeypatch.setattr(trainer.Trainer, "_samples", keep)
-    short = {**SMALL, "roi_radius": 1.0, "episode_steps": 8, "gae_lambda": 0.0}
+    short = {**SMALL, "memory": memory, "roi_radius": 1.0, "episode_steps": 8, "gae_lambda": 0.0}
     config = TrainConfig(
         algorithm,
         "field_03",
@@ -86,6 +89,8 @@ def test_a_time_limit_is_bootstrapped_and_a_termination_is_not(
     expected = reward + 0.95 * last * ~ended.unsqueeze(-2)
     assert torch.allclose(rollout["value_target"], expected, atol=1e-4)
     assert expected.shape[-2] == (1 if algorithm == "ppo-joint" else 3)
+    goes_on = ~rollout["next", "done"][:, :-1, 0]
+    torch.testing.assert_close(last[:, :-1][goes_on], rollout[Key.VALUE][:, 1:][goes_on])
 
 
 def test_robots_that_failed_do_not_move_the_actor(
@@ -107,17 +112,33 @@ def test_robots_that_failed_do_not_move_the_actor(
     assert abs(advantage[works].mean()) < 1e-5 and abs(advantage[works].std() - 1.0) < 1e-5
 
 
-def test_a_run_on_random_fields_is_checked_and_resumes(tmp_path: Path) -> None:
-    small = {"num_worlds": 4, "rollout_steps": 16, "hidden": [16, 16], "minibatches": 4}
+@pytest.mark.parametrize(
+    ("algorithm", "field", "changes"),
+    [
+        ("mappo", "random_convex", {}),
+        ("mappo", "random_convex", {"memory": 6}),
+        ("ppo-joint", "random_convex", {"memory": 6}),
+        ("ippo", "field_03", {"memory": 6, "sharing": "groups", "critic_sharing": "full+traits"}),
+    ],
+)
+def test_a_run_of_setting_g_resumes(
+    algorithm: str, field: str, changes: dict[str, Any], tmp_path: Path
+) -> None:
+    small = {"num_worlds": 4, "rollout_steps": 16, "hidden": [16, 16], "minibatches": 4, **changes}
     budget: dict[str, Any] = {"steps": 320, "evaluate_every": 128, "episodes": 2}
-    how = {"environment": {"max_steps": 100}, "hyperparameters": small}
-    config = TrainConfig("mappo", "random_convex", "G", **budget, **how)
+    fast = {"v_clip": [5.0, 3.5, 5.0]} if field == "field_03" else {}
+    how = {"environment": {"max_steps": 100, **fast}, "hyperparameters": small}
+    config = TrainConfig(algorithm, field, "G", **budget, **how)
     assert not interrupted(config, tmp_path / "run").finished
     whole, again = train(config, tmp_path / "whole"), train(config, tmp_path / "run", resume=True)
     assert recorded(again) == recorded(whole) and same_policies(again, whole)
-    wrong = prepare(replace(config, hyperparameters={"scattered": 0.5}))
-    with pytest.raises(ConfigError, match="scattered: "):
-        find_algorithm("mappo").check(*wrong)
+
+
+def test_robots_are_alike_in_dynamics_limits_and_kind() -> None:
+    config = make_config({"v_clip": (5.0, 3.5, 5.0), "dynamics": ("unicycle",) * 3})
+    for kinds, alike in (((), True), ((1, 0, 1), True), ((0, 0, 1), False)):
+        first, second, third = traits_of(config, 3, kinds)
+        assert first != second and (first == third) == alike
 
 
 SEEN: dict[str, Any] = {"observation": "entities", "assignment": True}
@@ -148,7 +169,7 @@ class Scene:
                 rows[..., k][where] = 0.0
         torch.manual_seed(0)
         self.actor = SetActor(self.tokens, (8, 12))
-        self.critic = SetCritic(self.tokens, (8, 12), central=True)
+        self.critic = SetCritic(self.tokens, (8, 12), team=True)
         torch.nn.init.normal_(self.actor.head.weight)
 
     def mirrored(self, how: str) -> torch.Tensor:
@@ -258,6 +279,7 @@ def test_a_run_begins_with_the_network_of_another_one_and_ends_with_its_gain(
     assert f"--from {source}" in tuned.command
 
 
+ALONE = {"sharing": "none"}
 OTHER = {"hidden": (8, 8), "sharing": "none", "network": "mlp"}
 NAMED = [f"hyperparameters.{name}" for name in ("network", "hidden", "sharing")]
 
@@ -267,8 +289,9 @@ NAMED = [f"hyperparameters.{name}" for name in ("network", "hidden", "sharing")]
     [
         ("mappo", "random_convex", "G", {"scattered": 0.5}, ["scattered"]),
         ("mappo", "field_03", "N", {"shaping": 0.1}, ["shaping"]),
-        ("mappo", "field_03", "G", {"sharing": "none", "hidden": [64]}, ["sharing", "hidden"]),
-        ("ppo-joint", "field_03", "N", {"network": "entities", "sharing": "full"}, ["actor"]),
+        ("mappo", "field_03", "G", {**ALONE, "hidden": [64]}, ["hidden"]),
+        ("ippo", "random_convex", "G", {**ALONE, "critic": "state"}, ["critic", "sharing"]),
+        ("ppo-joint", "field_03", "G", {"environment": {"knowledge": "own"}}, ["actor"]),
         ("mappo", "random_convex", "N", {}, ["field"]),
         ("ppo", "random_convex", "N", {}, ["field"]),
         ("mappo", "field_03", "G", OTHER, ["observation", "robots", "ROIs", "arena", *NAMED]),

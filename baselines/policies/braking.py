@@ -1,0 +1,127 @@
+"""Robots that can brake clear of each other, whatever the others do, by what each one observes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from mbn_marl.engine import BatchEngine
+from mbn_marl.engine.mdp.entities import SCALES
+from mbn_marl.engine.mdp.observations import Entry
+from mbn_marl.planning.problem import Floats, Problem
+from mbn_marl.planning.shield import MARGIN, Flags
+
+# The share of a safety distance that robots keep from the middle between two of them.
+BERTH = 1.03
+# Directions (degrees) and shares of the wanted velocity to try in turn, then directions to leave.
+TURNS = ((0, 1.0), (0, 0.5), (0, 0.25), (60, 0.5), (-60, 0.5), (100, 0.5), (-100, 0.5), (0, 0.0))
+ESCAPES = np.radians(np.arange(8) * 45.0)
+ESCAPE_SHARE = 0.5  # of the speed limit
+
+
+class Braking:
+    """Reads rows of an observation; chooses velocities from which robots can brake.
+
+    They brake inside the field and their buffered Voronoi cells (Zhou et al., 2017), whatever the
+    others do. ``entities`` does not show a robot its place, so the field does not matter there.
+    """
+
+    def __init__(self, problem: Problem, table: Iterable[Entry]) -> None:
+        self.problem = problem
+        at = {entry.name: entry.offset for entry in table}
+        self._soft = "own_x" not in at
+        self._walled = not self._soft
+        axes = ("near_x", "near_y") if self._soft else ("dx", "dy")
+        others = [[at[f"other_{k}_{axis}"] for axis in axes] for k in range(1, problem.n)]
+        self._others = np.array(others, int).reshape(-1, 2)
+        self._own = [] if self._soft else [at["own_x"], at["own_y"]]
+        self._motion = [at["own_vx"], at["own_vy"]]
+        self._arena = np.array(problem.field.arena)
+        corners = (
+            problem.field.vertices if "roi_0_ux" in at else np.array([[0.0, 0.0], self._arena])
+        )
+        self._centre = (corners.min(0) + corners.max(0)) / 2.0
+        self._top, self._force = problem.config.top_speed, problem.forces.min(0)
+        shapely.prepare(problem.area)
+
+    def _read(self, rows: Floats) -> tuple[Floats, Floats, Floats, Flags]:
+        """Return places, velocities, and of the others places and which of them are seen.
+
+        A robot that does not see its place is at 0.
+        """
+        offsets = rows[:, self._others]
+        there: Flags = (offsets != 0.0).any(-1)
+        if self._soft:
+            place = np.zeros((len(rows), 2))
+            offsets = SCALES[0] * offsets / (1.0 - np.abs(offsets))
+        else:
+            place = self._centre + rows[:, self._own] * self._arena / 2.0
+            offsets = offsets * self._arena
+        return place, rows[:, self._motion] * self._top, place[:, None] + offsets, there
+
+    def _choose(
+        self, place: Floats, speed: Floats, wanted: Floats, others: Floats, there: Flags
+    ) -> Floats:
+        """Return the change of each row's velocity: the first from which it can brake."""
+        change = -np.clip(speed, -self._force, self._force)
+        rows = np.arange(len(place))
+        turns = [(share * np.exp(1j * np.radians(angle)), 0.0) for angle, share in TURNS]
+        turns += [(0.0, ESCAPE_SHARE * self._top * np.exp(1j * angle)) for angle in ESCAPES]
+        for turn, own in turns:
+            asked = turn * (wanted[rows] @ np.array([1.0, 1.0j])) + own
+            aim = np.stack([asked.real, asked.imag], -1)
+            step = np.clip(aim - speed[rows], -self._force, self._force)
+            after = np.clip(speed[rows] + step, -self._top, self._top)
+            safe = self._can_brake(place[rows], after, others[rows], there[rows])
+            change[rows[safe]] = step[safe]
+            rows = rows[~safe]
+            if not len(rows):
+                break
+        return change
+
+    def _can_brake(self, place: Floats, speed: Floats, others: Floats, there: Flags) -> Flags:
+        middle = others - place[:, None]
+        apart = np.maximum(np.linalg.norm(middle, axis=-1), 1e-9)
+        room = np.where(there, (apart - BERTH * self.problem.config.safety_distance) / 2.0, np.inf)
+        toward, now, good = middle / apart[..., None], place.copy(), np.ones(len(place), bool)
+        while good.any():
+            now = now + speed * self.problem.config.tau
+            good &= self._inside(now)
+            good &= (np.einsum("rka,ra->rk", toward, now - place) <= room).all(1)
+            if not speed[good].any():
+                break
+            speed = speed - np.clip(speed, -self._force, self._force)
+        return good
+
+    def _inside(self, places: Floats) -> Flags:
+        if not self._walled:
+            return np.ones(len(places), bool)
+        if self.problem.convex:
+            normals, limits = self.problem.half_planes
+            return np.asarray((places @ normals.T <= limits + 1e-6).all(-1), bool)
+        return np.asarray(shapely.intersects_xy(self.problem.area, *places.T), bool)
+
+
+class OwnShield(Braking):
+    """Replaces actions after which robots could no longer brake; each by its own row alone.
+
+    Where fields vary, robots do not know theirs, and keep clear of each other alone.
+    """
+
+    def __init__(self, problem: Problem, engine: BatchEngine) -> None:
+        inner = problem.area.buffer(-MARGIN, join_style="mitre")
+        super().__init__(replace(problem, area=inner), engine.observation_table)
+        self._walled &= len(engine.fields) == 1
+
+    def act(self, actions: NDArray[np.float32], seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return actions (worlds, n, 2) for observations (worlds, n, size)."""
+        place, speed, others, there = self._read(seen.reshape(-1, seen.shape[-1]).astype(float))
+        asked = np.clip(actions.reshape(-1, 2), -1.0, 1.0) * self._force
+        change = self._choose(place, speed, speed + asked, others, there)
+        same = (np.abs(change - asked) < 1e-9).all(-1, keepdims=True)
+        taken = np.where(same, actions.reshape(-1, 2), change / self._force)
+        return taken.reshape(actions.shape).astype(np.float32)
