@@ -8,7 +8,6 @@ the next linearisation to start from.
 from __future__ import annotations
 
 import functools
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -33,6 +32,10 @@ ASIDE = 0.1
 MOST_PLANES = 40
 ROUNDS = 12
 """Linearisations of the distances in one attempt."""
+FEWER = 4
+"""Those of an attempt that begins with routes that keep the robots apart."""
+WORK = 8
+"""A motion of so many steps of robots takes as much time as a linear program of a route."""
 WATCH = 1.5
 """Pairs closer than this many safety distances are kept apart from the next round on."""
 DRIFT = 0.03
@@ -263,20 +266,26 @@ def _in_front(starts: Floats, ends: Floats, normal: Floats, offset: float) -> tu
 
 
 def coordinate(
-    problem: Problem, verify: Verify[T], steps: int, routes: Sequence[Route], deadline: float
+    problem: Problem,
+    verify: Verify[T],
+    steps: int,
+    routes: Sequence[Route],
+    deadline: float,
+    far: float | None = None,
 ) -> T | None:
     """Return a verified plan of ``steps`` steps along the routes, ``None`` if none was found.
 
     The distances between robots, and the field where it is not convex, are linearised about the
-    last round's motions.
+    last round's motions. With ``far`` the routes keep the robots apart, and the motion keeps to
+    their sides wherever two are closer than ``far`` safety distances.
     """
     separations: dict[tuple[int, int, int], Separation] = {}
     random = np.random.default_rng(0)
     visits = [list(zip(route.visits.steps, route.order, strict=True)) for route in routes]
-    paths = np.stack(
-        [_padded(start, route, steps) for start, route in zip(problem.starts, routes, strict=True)]
-    )
-    for _ in range(ROUNDS):
+    paths = padded(problem, routes, steps)
+    close = [*close_pairs(problem, paths, random, far)] if far else []
+    for _ in range(FEWER if far else ROUNDS):
+        separations.update({(pair.i, pair.j, pair.step): pair for pair in close})
         places = surroundings(problem, paths)
         motion = solve_motion(problem, steps, visits, places, list(separations.values()))
         if motion is None:
@@ -285,23 +294,32 @@ def coordinate(
         if (verified := verify(paths, actions)) is not None:
             return verified
         close = list(close_pairs(problem, paths, random))
-        if (problem.convex and not close) or time.monotonic() > deadline:
+        if (problem.convex and not close) or problem.clock(problem.n * steps // WORK) > deadline:
             return None
-        separations.update({(pair.i, pair.j, pair.step): pair for pair in close})
     return None
 
 
-def _padded(start: Floats, route: Route, steps: int) -> Floats:
-    path = np.concatenate([start[None], route.visits.path])[: steps + 1]
-    return np.concatenate([path[1:], np.repeat(path[-1:], steps + 1 - len(path), axis=0)])
+def meet(problem: Problem, routes: Sequence[Route], steps: int) -> bool:
+    """Return whether robots come too close to each other on their routes."""
+    paths = padded(problem, routes, steps)
+    return any(True for _ in close_pairs(problem, paths, np.random.default_rng(0)))
+
+
+def padded(problem: Problem, routes: Sequence[Route], steps: int) -> Floats:
+    """Return the paths, (n, T, 2), of robots that stay where their routes end."""
+    paths = []
+    for start, route in zip(problem.starts, routes, strict=True):
+        path = np.concatenate([start[None], route.visits.path])[: steps + 1]
+        paths.append(np.pad(path, ((0, steps + 1 - len(path)), (0, 0)), "edge")[1:])
+    return np.stack(paths)
 
 
 def close_pairs(
-    problem: Problem, paths: Floats, random: np.random.Generator
+    problem: Problem, paths: Floats, random: np.random.Generator, far: float = 0.0
 ) -> Iterator[Separation]:
     """Yield the pairs of robots that come too close, each step with a direction to separate them.
 
-    Pairs that never come closer than the safety distance are skipped.
+    Pairs that never come closer than the safety distance, or than ``far`` of them, are skipped.
     """
     least = problem.config.safety_distance
     ways = np.concatenate([paths, problem.others_for(paths.shape[1])])
@@ -310,10 +328,10 @@ def close_pairs(
             break
         apart = ways[i] - ways[j]
         distance = np.hypot(apart[:, 0], apart[:, 1])
-        if distance.min() >= least + 0.5 * PAIR_ROOM:
+        if distance.min() >= max(least + 0.5 * PAIR_ROOM, far * least):
             continue
         crossing = random.normal(size=2)
-        for k in np.flatnonzero(distance < WATCH * least):
+        for k in np.flatnonzero(distance < max(WATCH, far) * least):
             direction = apart[k] if distance[k] > 0.1 * least else crossing
             x, y = (direction / np.hypot(*direction)).tolist()
             yield Separation(i, j, int(k) + 1, (x, y))

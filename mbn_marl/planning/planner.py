@@ -6,7 +6,7 @@ import itertools
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Unpack
 
 import numpy as np
@@ -24,11 +24,10 @@ from mbn_marl.planning.partition import FEW_ROIS, least_makespan
 from mbn_marl.planning.problem import Floats, Problem, make_problem
 from mbn_marl.planning.replay import Playback, Player
 from mbn_marl.planning.team import Team, make_guide
+from mbn_marl.planning.waiting import PARTITIONS, wait
 
 GREEDY_SHARE, BOUND_SHARE = 0.5, 0.8
 """Shares of the time limit after which the greedy plan and the bound are abandoned."""
-PARTITIONS = 6
-"""Partitions of the ROIs that are tried at one makespan."""
 
 
 class UnsolvableError(MbnError):
@@ -87,6 +86,7 @@ def plan(
     velocities: ArrayLike | None = None,
     visited: Sequence[int] = (),
     time_limit: float = 60.0,
+    work_limit: int | None = None,
     **settings: Unpack[Settings],
 ) -> Plan:
     """Plan for a team at the field's starts.
@@ -97,6 +97,8 @@ def plan(
         visited: the ROIs that have been visited before, from 0 on; not all.
         time_limit: seconds after which the best interval so far is returned, not counting the
             engine's compilation for a new configuration.
+        work_limit: if given, a limit of the work instead, in linear programs, so that the result
+            does not depend on the machine's speed.
         **settings: the fields of :class:`mbn_marl.config.NavigationConfig`.
 
     Raises:
@@ -107,22 +109,25 @@ def plan(
     if not time_limit > 0.0:
         raise ConfigError("plan", [f"time_limit: expected more than 0 seconds, got {time_limit}"])
     problem = make_problem(load_field(field), make_config(settings))
+    if work_limit is not None:
+        problem, time_limit = replace(problem, clock=Work().add), work_limit
     problem = problem if velocities is None else problem.moving(velocities)
     left = sorted(set(range(problem.m)) - set(visited))
     if not left or not set(visited) <= set(range(problem.m)):
         raise ConfigError("plan", [f"visited: allowed: some of 0 to {problem.m - 1}, not all"])
     player, part = Player(problem, visited), problem.only(left)
-    began = time.monotonic()
+    began, clock = time.monotonic(), problem.clock(0)
     refuse_unsolvable(problem, left)
-    best = plan_greedily(problem, player, began + GREEDY_SHARE * time_limit)
+    best = plan_greedily(problem, player, clock + GREEDY_SHARE * time_limit)
     try:
-        team = prove(part, began + BOUND_SHARE * time_limit)
+        team = prove(part, clock + BOUND_SHARE * time_limit)
     except TooManySetsError:
-        team = prove(_hardest(part), began + BOUND_SHARE * time_limit)
+        team = prove(_hardest(part), clock + BOUND_SHARE * time_limit)
     else:
-        for guide in _guides(part, team, began + time_limit):
-            most = problem.config.max_steps if best is None else len(best.actions) - 1
-            best = _search(part, player, guide, team.bound, most, guide.deadline) or best
+        for guide in _guides(part, team, clock + time_limit):
+            for search in (_search,) if problem.convex else (wait, _search):
+                most = problem.config.max_steps if best is None else len(best.actions) - 1
+                best = search(part, player, guide, team.bound, most, guide.deadline) or best
     nothing = np.zeros((0, problem.n, 2), np.float32)
     return Plan(
         field=problem.field,
@@ -135,6 +140,16 @@ def plan(
         trail=best.trail if best else problem.starts[None],
         seconds=time.monotonic() - began,
     )
+
+
+class Work:
+    """A clock that shows the work so far, in linear programs."""
+
+    done = 0
+
+    def add(self, more: int) -> float:
+        self.done += more
+        return self.done
 
 
 def _hardest(problem: Problem) -> Problem:
@@ -212,7 +227,7 @@ def _guides(problem: Problem, team: Team, deadline: float) -> list[Team]:
     team.deadline, guides = deadline, [team]
     with suppress(TooManySetsError):
         if not problem.convex:
-            half = 0.5 * (time.monotonic() + deadline)
+            half = 0.5 * (problem.clock(0) + deadline)
             guides.insert(0, make_guide(problem, team.horizon, half))
     return guides
 
@@ -221,14 +236,14 @@ def _search(
     problem: Problem, player: Player, guide: Team, bound: int, most: int, deadline: float
 ) -> Playback | None:
     for steps in range(bound, most + 1):
-        if time.monotonic() > deadline:
+        if problem.clock(0) > deadline:
             break
         try:
             for routes in itertools.islice(guide.solutions(steps), PARTITIONS):
                 playback = coordinate(problem, player.verify, steps, routes, deadline)
                 if playback is not None:
                     return playback
-                if time.monotonic() > deadline:
+                if problem.clock(0) > deadline:
                     return None
         except UndecidedError:
             continue
@@ -240,5 +255,5 @@ def _search(
 def plan_greedily(problem: Problem, player: Player, deadline: float) -> Playback | None:
     """Return the greedy controller's episode if it is clean and complete by the deadline."""
     greedy = Greedy(problem)
-    playback = player.play(lambda *seen: None if time.monotonic() > deadline else greedy.act(*seen))
+    playback = player.play(lambda *seen: None if problem.clock(0) > deadline else greedy.act(*seen))
     return playback if playback.clean else None

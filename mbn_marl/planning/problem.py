@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -58,6 +59,8 @@ class Problem:
     others: (
         Floats  # (k, H, 2), the next positions of robots in the way, the last one theirs for good
     )
+    clock: Callable[[int], float] = lambda work: time.monotonic()
+    """That of all deadlines, after so much more work: 1 for a linear program."""
 
     @property
     def n(self) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import time
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -176,7 +175,7 @@ def search(problem: Problem, margin: float) -> Floats | None:
         "safety_distance": config.safety_distance + margin,
     }
     inner = replace(problem, area=area, config=config.model_copy(update=room))
-    deadline, horizon = time.monotonic() + TIME_LIMIT, config.max_steps
+    deadline, horizon = problem.clock(0) + TIME_LIMIT, config.max_steps
     if problem.convex:
         team = Team(inner, proved_legs(inner, 0.0, horizon), 0.0, horizon, deadline)
     else:
@@ -184,7 +183,7 @@ def search(problem: Problem, margin: float) -> Floats | None:
     steps = team.least_makespan()
     try:
         for _ in range(TRIES):
-            if steps > horizon or time.monotonic() > deadline:
+            if steps > horizon or problem.clock(0) > deadline:
                 break
             for routes in itertools.islice(team.solutions(steps), PARTITIONS):
                 verify = partial(_verified, problem)

@@ -9,7 +9,6 @@ can be assumed to be exactly at T.
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -57,7 +56,7 @@ class Team:
     legs: Legs
     slack: float  # allowance of discs and hull for rounding, in units
     horizon: int  # the largest makespan of interest, steps
-    deadline: float  # on the clock time.monotonic
+    deadline: float  # on the problem's clock
     gates: Mapping[tuple[int, int], tuple[Disc, ...]] = field(default_factory=dict)
     bound: int = 0  # a lower bound of the makespan, which rises, steps
     highs: highspy.Highs = field(default_factory=make_solver)
@@ -156,7 +155,7 @@ class Team:
 
     def _extend(self, i: int, order: tuple[int, ...], rest: int, makespan: int) -> Route | None:
         """Search depth first the orders that begin with ``order`` and continue with ``rest``."""
-        if time.monotonic() > self.deadline:
+        if self.problem.clock(1) > self.deadline:
             raise OutOfTimeError
         options = []
         for j in range(self.problem.m):
@@ -170,7 +169,9 @@ class Team:
             discs, windows, rois = self._stops(i, longer, makespan - tail, ends=left == 0)
             start, drive = self.problem.start(i), self.problem.drives[i]
             bounds = self.region, self.obstacles
-            search = Search(start, drive, *bounds, self.slack, self.highs, self.deadline)
+            search = Search(
+                start, drive, *bounds, self.slack, self.highs, self.deadline, self.problem.clock
+            )
             if left == 0:
                 if (visits := search.visits(discs, windows)) is not None:
                     steps = tuple(visits.steps[k] for k in rois)

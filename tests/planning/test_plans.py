@@ -13,6 +13,7 @@ from mbn_marl import BatchEngine, parallel_env
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, catalogue_names, load_field
+from mbn_marl.field.field import Points
 from mbn_marl.optimum import optimal_return
 from mbn_marl.planning import Plan, UnsolvableError, plan
 from mbn_marl.planning.problem import make_problem
@@ -81,6 +82,31 @@ def test_fields_that_are_not_convex_have_verified_plans(field: Field) -> None:
     assert (found.makespan - found.makespan_lower_bound) / found.makespan <= 0.15
     assert shapely.intersects_xy(field.polygon, found.trail.reshape(-1, 2)).all()
     assert replayed(found, "float32")[:2] == (True, found.makespan)
+
+
+TWO_ROOMS = [
+    *((0, 0), (80, 0), (80, 37), (120, 37), (120, 0), (200, 0)),
+    *((200, 80), (120, 80), (120, 43), (80, 43), (80, 80), (0, 80)),
+]
+
+
+@pytest.mark.parametrize(
+    ("starts", "rois", "kinds", "most"),
+    [
+        ([(30, 40), (170, 20)], [(170, 60), (30, 60)], [0, 1], 45),  # one after the other
+        ([(20, 20), (20, 40), (20, 60)], [(180, 20), (180, 40), (180, 60)], None, 40),  # a queue
+    ],
+)
+def test_robots_wait_for_each_other_at_a_door(
+    starts: Points, rois: Points, kinds: list[int] | None, most: int
+) -> None:
+    own = {"roi_kinds": kinds, "start_kinds": kinds} if kinds else {}
+    field = Field(TWO_ROOMS, rois, starts, **own)
+    found = plan(field, work_limit=1000, time_limit=1e-6)
+    assert found.makespan is not None and found.makespan_lower_bound < found.makespan <= most
+    assert replayed(found, "float32")[:2] == (True, found.makespan)
+    again = plan(field, work_limit=1000)
+    assert np.array_equal(again.actions, found.actions)
 
 
 def test_many_rois_have_a_plan_and_a_bound() -> None:
