@@ -79,12 +79,12 @@ class GreedyLocal(Braking, Policy):
             self._swept = np.zeros((*seen.shape[:2], len(self._parts)), bool)
             self._steps = 0
         rows = seen.reshape(-1, seen.shape[-1]).astype(float)
-        place, speed, others, there = self._read(rows)
+        place, speed, others, moves, there = self._read(rows)
         there &= not self._blind
         left = rows[:, self._visited] < 0.5
         target = self._targets(place, others, there, left)
         wanted = self._wanted(place, speed, target)
-        changes = self._choose(place, speed, wanted, others, there)
+        changes = self._choose(place, speed, wanted, others, moves, there)
         self._steps += 1
         actions: np.ndarray = (changes / self._force).reshape(*seen.shape[:2], 2)
         return actions.astype(np.float32)
