@@ -1,4 +1,4 @@
-"""Robots that can brake clear of each other, whatever the others do, by what each one observes."""
+"""Robots that can brake clear of each other if all do so, by what each one observes."""
 
 from __future__ import annotations
 
@@ -77,6 +77,9 @@ class Braking:
     ) -> Floats:
         """Return the change of each row's velocity: the first from which it can brake."""
         change = -np.clip(speed, -self._force, self._force)
+        # Two robots in sight of each other derive the same middles. If both choices keep to their
+        # sides, they and the brakings after them are apart in each step. The rest of those is what
+        # both would do if they braked in the next step: so braking passes again, and none collide.
         rest = self._way(place, self._braked(speed))
         middle = self._way(others, self._braked(moves)) - rest[:, None]
         apart = np.maximum(np.linalg.norm(middle, axis=-1), 1e-9)
