@@ -92,7 +92,9 @@ class GreedyLocal(Braking, Policy):
     def _targets(self, place: Floats, others: Floats, there: Flags, left: Flags) -> NDArray[Any]:
         target, beliefs = self._target.reshape(-1), np.concatenate([left, there], 1).astype(int)
         known = self._beliefs.reshape(beliefs.shape)
-        stale = np.flatnonzero((known != beliefs).any(1))
+        # Two idle robots may each have left one ROI to the other, so they assign in each step.
+        idle = (target == UNKNOWN) & left.any(1)
+        stale = np.flatnonzero((known != beliefs).any(1) | idle)
         known[stale] = beliefs[stale]
         if len(stale):
             able = left[stale, None] & self._mine[self._robots[stale % len(self._robots)]]
