@@ -157,7 +157,7 @@ class TeamNormal(torch.distributions.Distribution):
 
 
 class JointNormal(TeamNormal):
-    """The same actions as one of the team: log-probabilities (..., 1), of the robots that still act."""
+    """The same actions as one of the team: log-probabilities (..., 1) of active robots."""
 
     def __init__(
         self, loc: torch.Tensor, scale: torch.Tensor, mask: torch.Tensor | None = None
