@@ -1,4 +1,4 @@
-"""Robots that can brake clear of each other, whatever the others do, by what each one observes."""
+"""Robots that can brake clear of each other if all do so, by what each one observes."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ ESCAPE_SHARE = 0.5  # of the speed limit
 class Braking:
     """Reads rows of an observation; chooses velocities from which robots can brake.
 
-    They brake inside the field and their buffered Voronoi cells (Zhou et al., 2017), whatever the
-    others do. ``entities`` does not show a robot its place, so the field does not matter there.
+    They brake inside the field and, in each step, on their side of the middle between where two
+    robots were if both braked now: buffered Voronoi cells (Zhou et al., 2017) of braking robots.
+    ``entities`` does not show a robot its place, so the field does not matter there.
     """
 
     def __init__(self, problem: Problem, table: Iterable[Entry]) -> None:
@@ -35,9 +36,9 @@ class Braking:
         at = {entry.name: entry.offset for entry in table}
         self._soft = "own_x" not in at
         self._walled = not self._soft
-        axes = ("near_x", "near_y") if self._soft else ("dx", "dy")
+        axes = (*(("near_x", "near_y") if self._soft else ("dx", "dy")), "dvx", "dvy")
         others = [[at[f"other_{k}_{axis}"] for axis in axes] for k in range(1, problem.n)]
-        self._others = np.array(others, int).reshape(-1, 2)
+        self._others = np.array(others, int).reshape(-1, 4)
         self._own = [] if self._soft else [at["own_x"], at["own_y"]]
         self._motion = [at["own_vx"], at["own_vy"]]
         self._arena = np.array(problem.field.arena)
@@ -48,26 +49,43 @@ class Braking:
         self._top, self._force = problem.config.top_speed, problem.forces.min(0)
         shapely.prepare(problem.area)
 
-    def _read(self, rows: Floats) -> tuple[Floats, Floats, Floats, Flags]:
-        """Return places, velocities, and of the others places and which of them are seen.
+    def _read(self, rows: Floats) -> tuple[Floats, Floats, Floats, Floats, Flags]:
+        """Return places, velocities, those of the others, and which of them are seen.
 
         A robot that does not see its place is at 0.
         """
-        offsets = rows[:, self._others]
+        offsets, turns = np.split(rows[:, self._others], 2, axis=-1)
         there: Flags = (offsets != 0.0).any(-1)
+        speed = rows[:, self._motion] * self._top
         if self._soft:
             place = np.zeros((len(rows), 2))
             offsets = SCALES[0] * offsets / (1.0 - np.abs(offsets))
         else:
             place = self._centre + rows[:, self._own] * self._arena / 2.0
             offsets = offsets * self._arena
-        return place, rows[:, self._motion] * self._top, place[:, None] + offsets, there
+        moves = speed[:, None] + turns * 2.0 * self._top
+        return place, speed, place[:, None] + offsets, moves, there
 
     def _choose(
-        self, place: Floats, speed: Floats, wanted: Floats, others: Floats, there: Flags
+        self,
+        place: Floats,
+        speed: Floats,
+        wanted: Floats,
+        others: Floats,
+        moves: Floats,
+        there: Flags,
     ) -> Floats:
         """Return the change of each row's velocity: the first from which it can brake."""
         change = -np.clip(speed, -self._force, self._force)
+        # Two robots in sight of each other derive the same middles. If both choices keep to their
+        # sides, they and the brakings after them are apart in each step. The rest of those is what
+        # both would do if they braked in the next step: so braking passes again, and none collide.
+        rest = self._way(place, self._braked(speed))
+        middle = self._way(others, self._braked(moves)) - rest[:, None]
+        apart = np.maximum(np.linalg.norm(middle, axis=-1), 1e-9)
+        toward = middle / apart[..., None]
+        room = (apart - BERTH * self.problem.config.safety_distance) / 2.0
+        room[~there] = np.inf
         rows = np.arange(len(place))
         turns = [(share * np.exp(1j * np.radians(angle)), 0.0) for angle, share in TURNS]
         turns += [(0.0, ESCAPE_SHARE * self._top * np.exp(1j * angle)) for angle in ESCAPES]
@@ -75,27 +93,28 @@ class Braking:
             asked = turn * (wanted[rows] @ np.array([1.0, 1.0j])) + own
             aim = np.stack([asked.real, asked.imag], -1)
             step = np.clip(aim - speed[rows], -self._force, self._force)
-            after = np.clip(speed[rows] + step, -self._top, self._top)
-            safe = self._can_brake(place[rows], after, others[rows], there[rows])
+            way = self._way(place[rows], np.clip(speed[rows] + step, -self._top, self._top))
+            beside = np.einsum("rkta,rta->rkt", toward[rows], way - rest[rows])
+            safe = (beside <= room[rows]).all((1, 2))
+            safe &= self._inside(way.reshape(-1, 2)).reshape(len(rows), -1).all(1)
             change[rows[safe]] = step[safe]
             rows = rows[~safe]
             if not len(rows):
                 break
         return change
 
-    def _can_brake(self, place: Floats, speed: Floats, others: Floats, there: Flags) -> Flags:
-        middle = others - place[:, None]
-        apart = np.maximum(np.linalg.norm(middle, axis=-1), 1e-9)
-        room = np.where(there, (apart - BERTH * self.problem.config.safety_distance) / 2.0, np.inf)
-        toward, now, good = middle / apart[..., None], place.copy(), np.ones(len(place), bool)
-        while good.any():
-            now = now + speed * self.problem.config.tau
-            good &= self._inside(now)
-            good &= (np.einsum("rka,ra->rk", toward, now - place) <= room).all(1)
-            if not speed[good].any():
-                break
-            speed = speed - np.clip(speed, -self._force, self._force)
-        return good
+    def _braked(self, speed: Floats) -> Floats:
+        slower: Floats = speed - np.clip(speed, -self._force, self._force)
+        return slower
+
+    def _way(self, place: Floats, speed: Floats) -> Floats:
+        """Return (.., T, 2): places after this step at ``speed``, and while braking after it."""
+        way = []
+        for _ in range(int(np.ceil(self._top / self._force.min())) + 1):
+            place = place + speed * self.problem.config.tau
+            speed = self._braked(speed)
+            way.append(place)
+        return np.stack(way, -2)
 
     def _inside(self, places: Floats) -> Flags:
         if not self._walled:
@@ -119,9 +138,10 @@ class OwnShield(Braking):
 
     def act(self, actions: NDArray[np.float32], seen: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return actions (worlds, n, 2) for observations (worlds, n, size)."""
-        place, speed, others, there = self._read(seen.reshape(-1, seen.shape[-1]).astype(float))
+        sight = self._read(seen.reshape(-1, seen.shape[-1]).astype(float))
         asked = np.clip(actions.reshape(-1, 2), -1.0, 1.0) * self._force
-        change = self._choose(place, speed, speed + asked, others, there)
+        place, speed, others, moves, there = sight
+        change = self._choose(place, speed, speed + asked, others, moves, there)
         same = (np.abs(change - asked) < 1e-9).all(-1, keepdims=True)
         taken = np.where(same, actions.reshape(-1, 2), change / self._force)
         return taken.reshape(actions.shape).astype(np.float32)

@@ -79,12 +79,12 @@ class GreedyLocal(Braking, Policy):
             self._swept = np.zeros((*seen.shape[:2], len(self._parts)), bool)
             self._steps = 0
         rows = seen.reshape(-1, seen.shape[-1]).astype(float)
-        place, speed, others, there = self._read(rows)
+        place, speed, others, moves, there = self._read(rows)
         there &= not self._blind
         left = rows[:, self._visited] < 0.5
         target = self._targets(place, others, there, left)
         wanted = self._wanted(place, speed, target)
-        changes = self._choose(place, speed, wanted, others, there)
+        changes = self._choose(place, speed, wanted, others, moves, there)
         self._steps += 1
         actions: np.ndarray = (changes / self._force).reshape(*seen.shape[:2], 2)
         return actions.astype(np.float32)
@@ -92,7 +92,9 @@ class GreedyLocal(Braking, Policy):
     def _targets(self, place: Floats, others: Floats, there: Flags, left: Flags) -> NDArray[Any]:
         target, beliefs = self._target.reshape(-1), np.concatenate([left, there], 1).astype(int)
         known = self._beliefs.reshape(beliefs.shape)
-        stale = np.flatnonzero((known != beliefs).any(1))
+        # Two idle robots may each have left one ROI to the other, so they assign in each step.
+        idle = (target == UNKNOWN) & left.any(1)
+        stale = np.flatnonzero((known != beliefs).any(1) | idle)
         known[stale] = beliefs[stale]
         if len(stale):
             able = left[stale, None] & self._mine[self._robots[stale % len(self._robots)]]

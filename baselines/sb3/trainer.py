@@ -230,7 +230,7 @@ class Reporter(BaseCallback, KVWriter):
     def _on_rollout_start(self) -> None:
         self._report()
         learner = self._learner
-        self._ended = not self._recorder.goes_on(learner.env_steps, begun=learner.curriculum.begun)
+        self._ended = not self._recorder.has_more(learner.env_steps, begun=learner.curriculum.begun)
         if self._recorder.checkpoint_due:
             self._recorder.save_checkpoint(learner.env_steps, learner.policy, learner.save)
 

@@ -36,7 +36,7 @@ class MultiAgentPPOConfig(TrainingAids):
     hidden: tuple[Count, ...]
     # "none": a network for each robot. "groups": one for all that are alike in dynamics, mass,
     # force, speed limit and kind. "full": one for all robots. "full+id", "full+traits": one that
-    # also gets the robot's number (one-hot), or these traits of its own and of the others.
+    # also gets the robot's number (one-hot), or its traits and the others'.
     sharing: Sharing
     # The same of the critic, by default as the actor's.
     critic_sharing: Sharing | None = None

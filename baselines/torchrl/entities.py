@@ -397,7 +397,7 @@ class SetCritic(SetNetwork):
 
 
 class Several(nn.Module):
-    """A network over sets for each group of robots; it sees only the rows of its own."""
+    """A network over sets for each group of robots; it sees the rows of its group alone."""
 
     def __init__(self, of: tuple[int, ...], make: Callable[[], SetNetwork]) -> None:
         super().__init__()

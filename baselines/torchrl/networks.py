@@ -61,7 +61,7 @@ class TeamShape:
 
     @property
     def of_one_team(self) -> bool:
-        """Whether networks over sets are of a team of this size alone."""
+        """Networks over sets are of a team of this size alone."""
         return self.tokens is not None and (max(self.of) > 0 or len(self.extras) > 0)
 
 
@@ -157,7 +157,7 @@ class TeamNormal(torch.distributions.Distribution):
 
 
 class JointNormal(TeamNormal):
-    """The same actions as one of the team: log-probabilities (..., 1), of the robots that work."""
+    """The same actions as one of the team: log-probabilities (..., 1) of active robots."""
 
     def __init__(
         self, loc: torch.Tensor, scale: torch.Tensor, mask: torch.Tensor | None = None
@@ -177,7 +177,7 @@ DISTRIBUTIONS = {"decentralized": TeamNormal, "centralized": JointNormal}
 class TeamModule(TensorDictModuleBase):
     """An actor or a critic: what its networks see of each robot, and what they remember."""
 
-    # A collector, or a rollout (W, T) without the entry ``first``, goes on from the last call.
+    # A collector, or a rollout (W, T) without the entry ``first``, continues from the last call.
     name: str
     _joined: bool  # whether a world has one row
 

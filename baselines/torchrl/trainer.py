@@ -214,7 +214,7 @@ class Trainer:
             theirs: Any = load_trained(open_run(str(source)))
             self.network.load_state_dict(theirs.network.state_dict())
         self.recorder.start()
-        while self.recorder.goes_on(env_steps, begun=self.curriculum.begun):
+        while self.recorder.has_more(env_steps, begun=self.curriculum.begun):
             progress = env_steps / self.task.config.steps
             for group in self.optimizer.param_groups:
                 group["lr"] = between(config.learning_rate, progress)

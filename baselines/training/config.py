@@ -164,7 +164,7 @@ class Hyperparameters(pydantic.BaseModel):
     # The algorithm's own settings of the environment.
     environment: dict[str, Any] = pydantic.Field(default_factory=dict)
     # At most so many learners begin one after the other. Each has an equal part of the budget, of
-    # 655,360 env-steps at least, and goes on if no policy is perfect then. The best policy of all
+    # 655,360 env-steps at least, and continues if no policy is perfect then. The best policy of all
     # counts: a team settles early, and at random, on the order in which it visits ROIs.
     learners: Annotated[int, pydantic.Field(ge=1)] = 1
     # Values of the source that the algorithm has no argument for; without effect.

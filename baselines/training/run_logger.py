@@ -179,7 +179,7 @@ class Recorder:
         """The env-steps that the learners that have ended have left."""
         return self._budget - self.began
 
-    def goes_on(self, env_steps: int, *, begun: bool) -> bool:
+    def has_more(self, env_steps: int, *, begun: bool) -> bool:
         """Return whether a learner has steps left: its part, then all while others would fail."""
         # The next learner begins as soon as a policy is perfect, if enough is left for it. One that
         # is still at the first stage of its curriculum is stuck: the next one does better.
@@ -206,7 +206,7 @@ class Recorder:
     ) -> None:
         # ``diagnostics`` are numbers for progress.csv, with the same names every time.
         self._diagnostics = diagnostics
-        every, last = self._task.config.evaluate_every, not self.goes_on(env_steps, begun=True)
+        every, last = self._task.config.evaluate_every, not self.has_more(env_steps, begun=True)
         env_steps += self.began
         evaluation_due = env_steps // every > self._last_row // every and not last
         if env_steps - self._last_row < ROW_STEPS and not evaluation_due:

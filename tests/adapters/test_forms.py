@@ -62,7 +62,8 @@ def check_sights(outcome: Outcome, oracle: Oracle, dtype: str, missing: int = 0)
             corners = [(dx, dy) for dx in (-DOUBT, DOUBT) for dy in (-DOUBT, DOUBT)]
             views = [low, *(oracle.observe(robot, missing, corner) for corner in corners)]
             low, high = np.min(views, axis=0), np.max(views, axis=0)
-        wrong = (observation < low - SIGHT) | (observation > high + SIGHT)
+        slack = SIGHT + (high - low) / 100  # beside a corner the four views are not the extremes
+        wrong = (observation < low - slack) | (observation > high + slack)
         assert not wrong.any(), (robot, np.flatnonzero(wrong), observation[wrong], low[wrong])
 
 
