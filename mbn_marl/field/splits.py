@@ -214,7 +214,8 @@ def search_settings(empty: Sequence[int], radius: float) -> dict[str, Any]:
 
 
 def geometry_hash(field: Field) -> str:
-    """Return the SHA-256 of a field's arena, outline, holes, ROIs and starts in milli-units."""
+    """Return the SHA-256 of arena, outline, holes, ROIs and starts in milli-units, and kinds."""
     rings: list[Any] = [[field.arena], field.vertices, *field.holes, field.rois, field.starts]
     millis = [np.rint(np.asarray(ring, float) * 1000.0).astype(int).tolist() for ring in rings]
-    return hashlib.sha256(json.dumps(millis).encode()).hexdigest()
+    kinds = [field.roi_kinds, field.start_kinds] if field.start_kinds else []
+    return hashlib.sha256(json.dumps([*millis, *kinds]).encode()).hexdigest()
