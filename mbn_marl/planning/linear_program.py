@@ -8,16 +8,17 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import highspy
 import numpy as np
-import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from mbn_marl.planning.problem import Floats
 
 CERTAIN = 1e-6
 """Multipliers of size 1 that prove more than this leave no doubt by rounding."""
+
+Ints = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -39,31 +40,26 @@ class LinearProgram:
         self.low, self.high = bounds
         self.cost = np.zeros(len(self.low))
         self.cost[-1] = 1.0
-        self.matrix, self.limits = self._sparse(rows)
+        self.columns, self.values, self.sizes, self.limits = _arrays(rows)
         program = highspy.HighsLp()
         program.num_col_, program.num_row_ = len(self.low), len(rows)
         program.col_cost_, program.col_lower_, program.col_upper_ = self.cost, self.low, self.high
         program.row_lower_ = np.full(len(rows), -highspy.kHighsInf)
         program.row_upper_ = self.limits
         program.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
-        program.a_matrix_.start_, program.a_matrix_.index_ = self.matrix.indptr, self.matrix.indices
-        program.a_matrix_.value_ = self.matrix.data
+        starts = np.cumsum([0, *self.sizes], dtype=np.int32)
+        program.a_matrix_.start_, program.a_matrix_.index_ = starts, self.columns
+        program.a_matrix_.value_ = self.values
         highs.passModel(program)
 
-    def _sparse(self, rows: list[Cut]) -> tuple[Any, Floats]:
-        starts = np.cumsum([0, *(len(cut.columns) for cut in rows)]).astype(np.int32)
-        columns = np.array([column for cut in rows for column in cut.columns], np.int32)
-        values = np.array([value for cut in rows for value in cut.values])
-        matrix = sp.csr_array((values, columns, starts), (len(rows), len(self.low)))
-        return matrix, np.array([cut.limit for cut in rows])
-
     def add(self, rows: list[Cut]) -> None:
-        fresh, limits = self._sparse(rows)
-        low = np.full(len(rows), -highspy.kHighsInf)
-        entries = fresh.nnz, fresh.indptr[:-1], fresh.indices, fresh.data
-        self.highs.addRows(len(rows), low, limits, *entries)
+        columns, values, sizes, limits = _arrays(rows)
+        low, starts = np.full(len(rows), -highspy.kHighsInf), np.cumsum(sizes, dtype=np.int32)
+        self.highs.addRows(len(rows), low, limits, len(values), starts - sizes, columns, values)
         self.rows = self.rows + rows
-        self.matrix = sp.vstack([self.matrix, fresh], format="csr")
+        self.columns = np.concatenate([self.columns, columns])
+        self.values = np.concatenate([self.values, values])
+        self.sizes = np.concatenate([self.sizes, sizes])
         self.limits = np.concatenate([self.limits, limits])
 
     def run(self) -> tuple[Floats, float]:
@@ -85,11 +81,20 @@ class LinearProgram:
         return np.array(solution.col_value), bound
 
     def _least(self, cost: Floats, y: Floats) -> float:
-        rest = cost - self.matrix.T @ y
+        weights = self.values * np.repeat(y, self.sizes)
+        rest = cost - np.bincount(self.columns, weights, len(cost))
         return float(self.limits @ y + np.minimum(rest * self.low, rest * self.high).sum())
 
     def binding(self, first: int) -> list[Cut]:
         return [self.rows[k] for k in np.flatnonzero(self.y[first:]) + first]
+
+
+def _arrays(rows: list[Cut]) -> tuple[Ints, Floats, Ints, Floats]:
+    """Return the rows' columns, values, how many each has, and limits."""
+    columns = np.array([column for cut in rows for column in cut.columns], np.int32)
+    values = np.array([value for cut in rows for value in cut.values], float)
+    sizes = np.array([len(cut.columns) for cut in rows], np.int32)
+    return columns, values, sizes, np.array([cut.limit for cut in rows], float)
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mbn_marl.config import Settings, make_config
 from mbn_marl.engine import FieldLike
+from mbn_marl.engine.snapshot import FloatArray
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, load_field
 from mbn_marl.planning.greedy import Greedy
@@ -28,6 +29,8 @@ from mbn_marl.planning.waiting import PARTITIONS, wait
 
 GREEDY_SHARE, BOUND_SHARE = 0.5, 0.8
 """Shares of the time limit after which the greedy plan and the bound are abandoned."""
+STUCK = 200
+"""Steps without a visit after which the greedy plan is abandoned too."""
 
 
 class UnsolvableError(MbnError):
@@ -254,6 +257,16 @@ def _search(
 
 def plan_greedily(problem: Problem, player: Player, deadline: float) -> Playback | None:
     """Return the greedy controller's episode if it is clean and complete by the deadline."""
-    greedy = Greedy(problem)
-    playback = player.play(lambda *seen: None if problem.clock(0) > deadline else greedy.act(*seen))
+    greedy, counts = Greedy(problem), list[int]()
+
+    def act(
+        positions: FloatArray, velocities: FloatArray, visited: NDArray[np.bool_]
+    ) -> NDArray[np.float32] | None:
+        counts.append(np.count_nonzero(visited))
+        stuck = len(counts) > STUCK and counts[-1] == counts[-STUCK]
+        if stuck or problem.clock(0) > deadline:
+            return None
+        return greedy.act(positions, velocities, visited)
+
+    playback = player.play(act)
     return playback if playback.clean else None

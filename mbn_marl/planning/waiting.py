@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from contextlib import suppress
+from operator import or_
 
 import numpy as np
 import shapely
@@ -118,17 +119,14 @@ def _along(
 
     Places are bits. It waits as early as it can: robots rest at their starts.
     """
-    free = []
-    for step in range(most + 1):
-        bits = 0
-        for near, way in taken:
-            bits |= near[way[min(step, len(way) - 1)]]
-        free.append(~bits)
-    reached = [1 & free[0]]
+    closed = [0] * (most + 1)
+    for near, way in taken:
+        closed = list(map(or_, closed, map(near.__getitem__, way)))
+    reached = [1 & ~closed[0]]
     for step in range(1, most + 1):
-        reached.append((reached[-1] | reached[-1] << 1) & free[step])
+        reached.append((reached[-1] | reached[-1] << 1) & ~closed[step])
     last, end = length - 1, most + 1
-    while end > 0 and free[end - 1] >> last & 1:
+    while end > 0 and not closed[end - 1] >> last & 1:
         end -= 1
     while end <= most and not reached[end] >> last & 1:
         end += 1
