@@ -21,6 +21,10 @@ from mbn_marl.planning.shield import Flags
 
 # Nothing is known before the first step of an episode.
 UNKNOWN = -1
+# Robots slower than this share of the speed limit for so many steps are held up.
+SLOW, PATIENCE = 0.1, 5
+# Robot i then leaves those within so many safety distances, for 1 + i times so many steps.
+CROWD, LEAVE = 3.0, 6
 
 
 class GreedyLocal(Braking, Policy):
@@ -31,7 +35,8 @@ class GreedyLocal(Braking, Policy):
     observes ``lidar_local``; the map, without the starts of other robots, is known, and the kinds
     of all robots. A ``blind`` one ignores the other robots. If ROIs are hidden, robots without any
     go to the nearest part of the field that neither they nor, as far as they know, those that tell
-    them have seen.
+    them have seen. Where walls leave no room to pass each other, kinds of robots take turns. Those
+    whose turn is over go back to their starts.
     """
 
     def __init__(
@@ -45,7 +50,12 @@ class GreedyLocal(Braking, Policy):
         self._parts, self._near = np.zeros((0, 2)), np.zeros(0)
         if settings.hidden_rois:
             self._parts, self._near = parts(problem, min(config.sensing_radius, max(arena)))
-        self._places = np.concatenate([problem.rois, self._parts])
+        # The least number of those of ROIs that are left is that of the kind whose turn it is.
+        self._turns = np.zeros(problem.m)
+        if kinds and not problem.convex:
+            self._turns = np.array([-1 if k is None else k for k in problem.field.roi_kinds])
+        homes = problem.starts[: problem.n if self._turns.any() else 0]
+        self._places = np.concatenate([problem.rois, self._parts, homes])
         at = {entry.name: entry.offset for entry in table}
         self._visited = [at[f"roi_{j}_visited"] for j in range(problem.m)]
         self._roadmap: Roadmap | None = None
@@ -61,7 +71,7 @@ class GreedyLocal(Braking, Policy):
             self._target = np.zeros((0, 0), int)
         elif len(self._target):
             self._target[worlds], self._beliefs[worlds] = UNKNOWN, UNKNOWN
-            self._swept[worlds] = False
+            self._swept[worlds], self._still[worlds] = False, 0
 
     def of_robot(self, robot: int, robots: int) -> GreedyLocal:
         one = deepcopy(self)
@@ -77,19 +87,28 @@ class GreedyLocal(Braking, Policy):
             self._target = np.full(seen.shape[:2], UNKNOWN)
             self._beliefs = np.full((*seen.shape[:2], self.problem.m + self.problem.n - 1), UNKNOWN)
             self._swept = np.zeros((*seen.shape[:2], len(self._parts)), bool)
+            self._still = np.zeros(seen.shape[:2], int)
             self._steps = 0
         rows = seen.reshape(-1, seen.shape[-1]).astype(float)
         place, speed, others, moves, there = self._read(rows)
         there &= not self._blind
         left = rows[:, self._visited] < 0.5
-        target = self._targets(place, others, there, left)
+        robots = self._robots[np.arange(len(rows)) % len(self._robots)]
+        target = self._targets(robots, place, others, there, left)
         wanted = self._wanted(place, speed, target)
+        if self._turns.any():
+            held = (target != UNKNOWN) & (np.abs(speed).max(1) < SLOW * self._top)
+            held &= np.abs(wanted).max(1) > SLOW * self._top
+            leaves = self._leaves(robots, held)
+            wanted[leaves] = self._away(place[leaves], others[leaves], there[leaves])
         changes = self._choose(place, speed, wanted, others, moves, there)
         self._steps += 1
         actions: np.ndarray = (changes / self._force).reshape(*seen.shape[:2], 2)
         return actions.astype(np.float32)
 
-    def _targets(self, place: Floats, others: Floats, there: Flags, left: Flags) -> NDArray[Any]:
+    def _targets(
+        self, robots: NDArray[Any], place: Floats, others: Floats, there: Flags, left: Flags
+    ) -> NDArray[Any]:
         target, beliefs = self._target.reshape(-1), np.concatenate([left, there], 1).astype(int)
         known = self._beliefs.reshape(beliefs.shape)
         # Two idle robots may each have left one ROI to the other, so they assign in each step.
@@ -97,10 +116,14 @@ class GreedyLocal(Braking, Policy):
         stale = np.flatnonzero((known != beliefs).any(1) | idle)
         known[stale] = beliefs[stale]
         if len(stale):
-            able = left[stale, None] & self._mine[self._robots[stale % len(self._robots)]]
+            turn = left & (self._turns == np.where(left, self._turns, np.inf).min(1)[:, None])
+            able = turn[stale, None] & self._mine[robots[stale]]
             target[stale] = self._assigned(place[stale], others[stale], there[stale], able)
         if len(self._parts):
             self._sweep(place, others, there, target)
+        elif self._turns.any():
+            over = ~(left & self._mine[robots, 0]).any(1)
+            target[over] = self.problem.m + robots[over]
         return target
 
     def _sweep(self, place: Floats, others: Floats, there: Flags, target: NDArray[Any]) -> None:
@@ -156,6 +179,24 @@ class GreedyLocal(Braking, Policy):
         stir = STIRS[self._steps % len(STIRS)] * force * rests
         wanted: Floats = np.where(goes[:, None], offset * np.minimum(scale, 1.0), stir)
         return wanted
+
+    def _leaves(self, robots: NDArray[Any], held: Flags) -> Flags:
+        """Return which robots leave the others, since they were held up."""
+        still = self._still.reshape(-1)  # steps held up, or, below 0, steps to leave
+        still[:] = np.where(held | (still < 0), still + 1, 0)
+        over = still > PATIENCE
+        still[over] = -LEAVE * (1 + robots[over])
+        leaves: Flags = still < 0
+        return leaves
+
+    def _away(self, place: Floats, others: Floats, there: Flags) -> Floats:
+        """Return the fastest velocities away from the robots nearby."""
+        offset = place[:, None] - others
+        far = np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
+        near = there[..., None] & (far < CROWD * self.problem.config.safety_distance)
+        push = np.where(near, offset / far**2, 0.0).sum(1)
+        away: Floats = push / np.maximum(np.linalg.norm(push, axis=1, keepdims=True), 1e-9)
+        return self._top * away
 
 
 def parts(problem: Problem, radius: float) -> tuple[Floats, Floats]:

@@ -262,7 +262,7 @@ def plan_greedily(problem: Problem, player: Player, deadline: float) -> Playback
     def act(
         positions: FloatArray, velocities: FloatArray, visited: NDArray[np.bool_]
     ) -> NDArray[np.float32] | None:
-        counts.append(np.count_nonzero(visited))
+        counts.append(int(visited.sum()))
         stuck = len(counts) > STUCK and counts[-1] == counts[-STUCK]
         if stuck or problem.clock(0) > deadline:
             return None
