@@ -36,10 +36,9 @@ from mbn_marl.field.splits import (
     search_settings,
 )
 from mbn_marl.planning import UnsolvableError, plan
+from mbn_marl.planning.planner import WORK_LIMIT
 
 COUNT = 100
-WORK_LIMIT = 3000
-"""Of the planner for a field of 7-passages."""
 COUPLED = 1.2
 """The least index, makespan / bound without collisions, of a field of 7-passages."""
 
@@ -264,9 +263,10 @@ def _line(record: Mapping[str, Any]) -> tuple[str, ...]:
     if record["tier"] == WEATHER:
         return *words, str(len(instances)), *["-"] * 5
     gaps = [1.0 - one["makespan_lower_bound"] / one["makespan"] for one in instances]
-    seconds = [one.get("seconds", np.nan) for one in instances]
+    seconds = [one["seconds"] for one in instances if "seconds" in one]
     return (
         *(*words, str(len(instances)), str(len(record["rejected"]))),
         *(str(gaps.count(0.0)), f"{np.median(gaps):.1%}"),
-        *(f"{np.median(seconds):.1f}", f"{record['processor_seconds']:.0f}"),
+        f"{np.median(seconds):.1f}" if seconds else "-",
+        f"{record['processor_seconds']:.0f}",
     )

@@ -13,12 +13,13 @@ from scipy.stats import binomtest
 
 from baselines.compare.benchmark import PRICES, prices
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.intervals import RETURN_THRESHOLD, Interval
+from baselines.evaluation.intervals import RETURN_THRESHOLD, Interval, mean_interval
 from baselines.runs.files import read_json, read_text, write_text
-from mbn_marl.field import splits
+from benchmarks.leaderboard import SPLIT
+from mbn_marl.field import load_split, splits
 
 PLACE = re.compile(r"(?m)^<!-- table: (\S+) -->\n(?:\n(?:\|.*\n)+)?")
-BOARD, SEARCHED = "leaderboard", "search"
+BOARD, SEARCHED, PASSED = "leaderboard", "search", "passages"
 ROW = [
     *("label", "information", "field", "seed", "passed"),
     *("success_rate", "deterministic_gap", "spl"),
@@ -45,7 +46,8 @@ def fill(page: Path) -> str:
         folder = page.parent / place[1]
         if not folder.is_dir():  # not run yet
             return place[0]
-        text = {BOARD: weather, SEARCHED: searched}.get(folder.name, table)(folder)
+        made = {BOARD: weather, SEARCHED: searched, PASSED: passages}
+        text = made.get(folder.name, table)(folder)
         return f"<!-- table: {place[1]} -->\n\n{text.markdown().strip()}\n"
 
     return PLACE.sub(below, read_text(page))
@@ -80,6 +82,23 @@ def searched(folder: Path) -> TextTable:
         sees = ", ".join(rows.information.unique())
         lines.append((-means.sum(), words[0], path.stem, sees, shares, *words))
     headings = ("policy", "information", f"success at {' / '.join(splits.RADII)}", *PRICES)
+    return TextTable("", headings, [line[2:] for line in sorted(lines)], words=2)
+
+
+def passages(folder: Path) -> TextTable:
+    """Return success, and makespans over the bound and the best plan, by mean actions."""
+    frozen = load_split(SPLIT, splits.PASSAGES)
+    best = {one.field.name: one.best_known for one in frozen}
+    lines = []
+    for path in folder.glob("*.json"):
+        instances = read_json(path)["tiers"][splits.PASSAGES]["instances"]
+        rows = DataFrame([{**row, **row["mean"]} for row in instances])
+        won, success = rows.dropna(subset="makespan"), rows.success_rate.mean()
+        ratios = (won.makespan / least for least in (won.makespan_lower_bound, won.field.map(best)))
+        words = [_with_ends(mean_interval([*some]) if len(some) else None) for some in ratios]
+        sees = ", ".join(rows.information.unique())
+        lines.append((-success, words[0], path.stem, sees, f"{success:.0%}", *words))
+    headings = ("policy", "information", "success", "makespan / bound", "makespan / best plan")
     return TextTable("", headings, [line[2:] for line in sorted(lines)], words=2)
 
 

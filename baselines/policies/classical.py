@@ -89,6 +89,7 @@ class ControllerPolicy(Policy):
 def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Policy:
     from mbn_marl.planning import plan
     from mbn_marl.planning.greedy import Greedy
+    from mbn_marl.planning.planner import WORK_LIMIT
     from mbn_marl.planning.problem import make_problem
     from mbn_marl.planning.replanning import Replanner, Replay, Tracker
 
@@ -107,7 +108,8 @@ def make_classical(name: str, field: Field, settings: Mapping[str, Any]) -> Poli
     @cache
     def planned(empty: Empty) -> Plan:
         given = {name: getattr(problem.config, name) for name in known}
-        found = plan(field, visited=empty, **given)
+        limit = WORK_LIMIT if field.start_kinds else None
+        found = plan(field, visited=empty, work_limit=limit, **given)
         if found.makespan is None and name != "replan":
             raise NoPlanError(f"{field.name}: no plan was found within the time limit")
         return found

@@ -31,6 +31,8 @@ GREEDY_SHARE, BOUND_SHARE = 0.5, 0.8
 """Shares of the time limit after which the greedy plan and the bound are abandoned."""
 STUCK = 200
 """Steps without a visit after which the greedy plan is abandoned too."""
+WORK_LIMIT = 3000
+"""Of plans for robots of several kinds, in linear programs: collisions keep them from the bound."""
 
 
 class UnsolvableError(MbnError):

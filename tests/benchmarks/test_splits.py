@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from mbn_marl import Field, FieldSampler
 from mbn_marl.errors import ConfigError
 from mbn_marl.field.splits import CONDITIONS, TIERS, geometry_hash
 from mbn_marl.planning import Plan, plan
+from mbn_marl.planning.planner import WORK_LIMIT
 
 pytestmark = pytest.mark.slow
 CONVEX = Splits(tier=("1-convex",), split=("test",), count=3, seconds=60.0)
@@ -77,6 +79,25 @@ def test_rejected_candidates_are_counted_with_the_reason(
     assert reasons[:2] == ["the same as candidate 0", "no plan was found"]
     assert reasons[2].startswith("plan: ") and "not success" in reasons[2]
     assert record["candidates"] == 5
+
+
+def test_passages_are_of_robots_that_wait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    steps = iter([11, 12, 15])
+
+    def waiting(field: Field, **how: Any) -> SimpleNamespace:
+        assert how == {"visited": (), "work_limit": WORK_LIMIT}
+        actions = np.zeros((12, len(field.starts), 2), np.float32)
+        return SimpleNamespace(makespan=next(steps), makespan_lower_bound=10, actions=actions)
+
+    monkeypatch.setattr(splits, "plan", waiting)
+    monkeypatch.setattr(splits, "plan_problem", lambda *plan: None)
+    assert Splits((splits.PASSAGES,), ("test",), count=2, out=tmp_path).run("command")
+    record = read_json(tmp_path / "test-7-passages.json")
+    assert record["rejected"] == [{"candidate": 0, "reason": "index 1.10"}]
+    assert [one["makespan"] for one in record["instances"]] == [12, 15]
+    assert "nan" not in capsys.readouterr().out
 
 
 def test_verifying_finds_what_was_changed(

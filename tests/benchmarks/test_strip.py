@@ -9,10 +9,14 @@ from pathlib import Path
 import pandas
 import pytest
 
+from benchmarks import tables
 from benchmarks.__main__ import main
 from benchmarks.strip import COLUMNS, FIELDS, RADII, reach, strip
 from benchmarks.tables import fill, rows_of, searched
+from mbn_marl import Field
+from mbn_marl.field import Instance, splits
 from tests.support.pages import ROOT
+from tests.support.planning_cases import SQUARE
 
 HEADING = "label,field,seed,passed,deterministic_gap,spl\n"
 RUNS = "".join(
@@ -75,6 +79,23 @@ def test_prices_and_success_of_a_policy_that_knows_its_own(tmp_path: Path) -> No
     (tmp_path / "own.json").write_text(json.dumps({"tiers": {"6-search": {"instances": rows}}}))
     (line,) = searched(tmp_path).lines
     assert line == ("own", "own", "50% / 100% / 100%", "2.00", "1.25 (1.00..1.50)", "2.00")
+
+
+def test_passages_are_compared_with_bound_and_best_plan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fields = [Field(SQUARE, [(150, 150)], [(150, 150)], name=name) for name in "ab"]
+    known = [Instance(field, makespan_lower_bound=10, best_known=15) for field in fields]
+    monkeypatch.setattr(tables, "load_split", lambda *of: known)
+    means = [{"makespan": 30.0, "success_rate": 1.0}, {"makespan": None, "success_rate": 0.0}]
+    rows = [
+        {"field": one.field.name, "information": "own", "makespan_lower_bound": 10, "mean": mean}
+        for one, mean in zip(known, means, strict=True)
+    ]
+    result = {"tiers": {splits.PASSAGES: {"instances": rows}}}
+    (tmp_path / "slow.json").write_text(json.dumps(result))
+    (line,) = tables.passages(tmp_path).lines
+    assert line == ("slow", "own", "50%", "3.00", "2.00")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import shapely
 
 from baselines.runs.files import read_arrays, read_json
 from benchmarks.splits import definition, instance_problems, weather
-from mbn_marl import FieldSampler
+from mbn_marl import Field, FieldSampler
 from mbn_marl.config import make_config
 from mbn_marl.errors import FieldError
 from mbn_marl.field import load_split
@@ -26,6 +26,7 @@ from mbn_marl.field.splits import (
     TIERS,
     WEATHER,
     Split,
+    geometry_hash,
     make_sampler,
 )
 from tests.support.field_cases import places_of
@@ -71,6 +72,8 @@ def test_passages_have_two_kinds_and_what_the_tier_fixes(tmp_path: Path) -> None
         homes = dict(zip(field.start_kinds, starts, strict=True))
         assert homes[0] != homes[1] and starts == [homes[kind] for kind in field.start_kinds]
         assert rois == [homes[1 - kind] for kind in field.roi_kinds]
+        changed = field.to_dict() | {"roi_kinds": field.roi_kinds[::-1]}
+        assert geometry_hash(Field(**changed)) != geometry_hash(field)
 
 
 def test_a_field_that_is_another_is_an_error_that_names_it(tmp_path: Path) -> None:

@@ -281,6 +281,12 @@ def test_a_search_has_rows_and_prices_at_each_radius(tmp_path: Path) -> None:
     assert "price of decentralisation, 0" not in prices([told])
 
 
+def test_robots_of_two_kinds_pass_doors_by_turns(tmp_path: Path) -> None:
+    rows = run("greedy-local", ["7-passages"], tmp_path)["tiers"]["7-passages"]["instances"]
+    assert [row["information"] for row in rows] == ["own"] * COUNT
+    assert all(row["mean"]["success_rate"] == 1.0 and "comm_radius" not in row for row in rows)
+
+
 def test_the_radii_of_a_field_have_the_same_seed(tmp_path: Path) -> None:
     rows = run("random", ["6-search"], tmp_path)["tiers"]["6-search"]["instances"]
     one, other = ([row["mean"] for row in rows[k : k + 3]] for k in (0, 3))
