@@ -35,8 +35,8 @@ class GreedyLocal(Braking, Policy):
     observes ``lidar_local``; the map, without the starts of other robots, is known, and the kinds
     of all robots. A ``blind`` one ignores the other robots. If ROIs are hidden, robots without any
     go to the nearest part of the field that neither they nor, as far as they know, those that tell
-    them have seen. Where walls leave no room to pass each other, kinds of robots take turns. Those
-    whose turn is over go back to their starts.
+    them have seen. Where walls leave no room to pass each other, kinds of robots take turns: those
+    with no ROI keep away from others, or go back to their starts if their turn is over.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class GreedyLocal(Braking, Policy):
         if self._turns.any():
             held = (target != UNKNOWN) & (np.abs(speed).max(1) < SLOW * self._top)
             held &= np.abs(wanted).max(1) > SLOW * self._top
-            leaves = self._leaves(robots, held)
+            leaves = self._leaves(robots, held) | (target == UNKNOWN)
             wanted[leaves] = self._away(place[leaves], others[leaves], there[leaves])
         changes = self._choose(place, speed, wanted, others, moves, there)
         self._steps += 1
