@@ -31,7 +31,8 @@ Policies on the split `test` by protocol {version} of [the benchmark](../benchma
 what the columns are and how to enter one. `python -m benchmarks leaderboard` makes this page of
 `docs/results/leaderboard/*.json`, which have the other columns too. SPL orders the tables; success,
 then makespan, order those of `5-weather`, which has no bounds. *Information* is
-[what a policy acts on](../benchmark.md#information). `6-search` and `7-passages` have [another page](search.md).
+[what a policy acts on](../benchmark.md#information). `6-search` and
+`7-passages` have [another page](search.md).
 """
 COLUMNS = ("spl", "success_rate", "gap", "makespan", "decision_ms")
 WHO = ("policy", "actions", "information")
