@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from mbn_marl import BatchEngine, Field, centralized_env, load_field
 from mbn_marl.adapters.gymnasium import CentralizedVectorEnv
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.config import make_config
+from mbn_marl.episode import check_episode, load_episode, play, save_episode
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import FieldSampler
 from mbn_marl.optimum import optimal_makespan
@@ -36,7 +38,9 @@ ROW = Field(SQUARE, [(10.0, 55.0), (90.0, 90.0)], [(10.0 + 20.0 * k, 50.0) for k
     ],
     ids=str,
 )
-def test_words_pass_from_robot_to_robot(settings: dict[str, Any], steps: list[int]) -> None:
+def test_words_pass_from_robot_to_robot(
+    settings: dict[str, Any], steps: list[int], tmp_path: Path
+) -> None:
     how: dict[str, Any] = {**OWN, "sensing_radius": 25.0, "comm_radius": 25.0, **settings}
     engine = BatchEngine(ROW, 2, threads=1, **how)
     engine.reset()
@@ -50,6 +54,30 @@ def test_words_pass_from_robot_to_robot(settings: dict[str, Any], steps: list[in
             heard[i] = heard[i] or step * (found["roi_0_left"] == 0.0)
     assert heard == steps
     assert engine.metrics()["rois_visited"].tolist() == [1, 1]
+    late, deaf = settings.get("comm_delay", 0), not steps[2]
+    for hidden in (False, True):
+        config = make_config({**how, "hidden_rois": hidden})
+        played = play(ROW, config, np.zeros((7, 4, 2)))
+        loaded = load_episode(save_episode(played, tmp_path / f"{hidden}.json"))
+        assert loaded.knowledge is None
+        for known in (played.knowledge, check_episode(loaded).knowledge):
+            assert known is not None and not known.empty.any()
+            assert known.done.T.tolist() == [[step or 8 for step in steps], [8] * 4]
+            there = [0, 0, *((8, 8) if deaf else (late, 2 * late + 1))]
+            assert known.found.T.tolist() == ([there, [8] * 4] if hidden else [[0] * 4] * 2)
+            told = [0 if deaf or step < late else 6 for step in range(8)]
+            assert known.heard.sum(axis=(1, 2)).tolist() == told
+
+
+@pytest.mark.slow
+def test_recorded_words_are_those_that_were_received() -> None:
+    """Robot 0 sees the ROI in step 1; each other one learns of it from the one before it alone."""
+    config = make_config({**OWN, "sensing_radius": 25.0, "comm_radius": 25.0, "comm_loss": 0.8})
+    known = play(ROW, config, np.zeros((60, 4, 2)), seed=3).knowledge
+    assert known is not None and known.done[0, 0] == 1
+    for i in (1, 2, 3):
+        first = known.done[i - 1, 0] + (i > 1)  # words wait for the next step
+        assert known.done[i, 0] == first + known.heard[first:, i, i - 1].argmax() < 60
 
 
 @pytest.mark.slow
