@@ -53,9 +53,7 @@ class Render(Subject):
             asked = [name for name in names if getattr(self, name) != getattr(Render, name)]
             problem = f"{', '.join(asked)}: not for {self.source}, which is recorded already"
             check_options("render", {problem: asked})
-            episode = load_episode(self.source)
-            check_episode(episode, self.source)
-            return episode
+            return check_episode(load_episode(self.source), self.source)
         try:
             how: dict[str, Any] = {"seed": self.seed, "alone": lambda field: RANDOM, **self.asked}
             actor = find_policy(self.source, self.field, **how)
@@ -94,10 +92,8 @@ class Replay(Writes):
 
         check_free(check_ending(self.out, ".html"), force=self.force)
         episodes = {path: load_episode(path) for path in self.episodes}
-        for path, episode in episodes.items():
-            check_episode(episode, str(path))
         shown = [
-            replace(episode, source=f"{episode.source} ({path})")
+            replace(check_episode(episode, str(path)), source=f"{episode.source} ({path})")
             for path, episode in episodes.items()
         ]
         page = replay_page(shown, self.title)

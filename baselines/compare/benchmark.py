@@ -24,7 +24,7 @@ from baselines.policies.shielded import Shielded, behind, information_of
 from baselines.runs.files import RunError, differences, read_json, versions, write_json
 from mbn_marl.config import Checked, Condition, NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
-from mbn_marl.episode import Episode, load_episode, save_episode
+from mbn_marl.episode import Episode, check_episode, load_episode, save_episode
 from mbn_marl.errors import ConfigError, EpisodeError, FieldError, ProblemsError, collecting
 from mbn_marl.field import Instance, load_split, splits
 from mbn_marl.planning import UnsolvableError
@@ -396,7 +396,8 @@ def _tier_parts(tier: str, found: Mapping[str, Any], out: Path) -> list[str]:
     if found["misfit"]:
         return folded_html({"Does not fit": found["misfit"]})
     try:
-        episodes = [load_episode(out / EPISODES / f"{tier}-{name}.json") for name in CHOSEN]
+        paths = [out / EPISODES / f"{tier}-{name}.json" for name in CHOSEN]
+        episodes = [check_episode(load_episode(path), str(path)) for path in paths]
     except (EpisodeError, OSError) as error:  # of a tier that was done before
         return folded_html({"Not shown": str(error)})
     return episodes_html(tier, episodes)

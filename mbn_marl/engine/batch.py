@@ -14,7 +14,7 @@ from mbn_marl.config import NavigationConfig, Settings, make_config
 from mbn_marl.engine import validation
 from mbn_marl.engine.backend import Backend, BackendSpec
 from mbn_marl.engine.constants import make_record
-from mbn_marl.engine.kernels import INFO_COLUMNS, MEASURES
+from mbn_marl.engine.kernels import INFO_COLUMNS, MEASURES, write_heard
 from mbn_marl.engine.mdp.disturbances import has_gusts
 from mbn_marl.engine.mdp.drawn_numbers import WIND_X, WIND_Y, draws_numbers, rows_of_drawn
 from mbn_marl.engine.mdp.dynamics import count_headings
@@ -533,6 +533,21 @@ class BatchEngine:
         bits, every = self._backend.host(field.roi_bits), self._backend.host(field.codes)
         empty: Flags = (bits.T & np.where(codes == 0, 0, every & ~codes)[:, None]) != 0
         return empty  # none before the first reset, when there are no codes
+
+    def knowledge(self) -> tuple[Flags, Flags, Flags]:
+        """Return what robots with ``knowledge="own"`` know in the first world, on the CPU.
+
+        ``done`` and ``found``, (n, m) bool, are the ROIs that each robot knows to be done, and has
+        found. ``heard``, (n, n) bool, is whether robot i received words of robot k in this step.
+        """
+        now, n = self._backend.now, self.n_robots
+        heard = np.empty((n, n), np.bool_)
+        write_heard(self._backend.arguments, heard)
+        heard &= now.steps[0] >= self.config.comm_delay
+        bits = self._backend.geometry.field.roi_bits[:, 0]
+        known = (now.knows[: 2 * n, :1] & bits) != 0
+        found = known[n:] if self.config.hidden_rois else np.ones_like(known[:n])
+        return known[:n], found, heard
 
     def _have_status(self, status: int) -> Flags:
         found: Flags = self._backend.empty((self.num_worlds, self.n_robots), self._backend.xp.bool)

@@ -9,7 +9,6 @@ from typing import Any
 
 import torch
 from numba import cuda
-from numba.core.errors import NumbaPerformanceWarning
 from numpy.typing import NDArray
 
 from mbn_marl.engine import cuda_kernels as kernels
@@ -42,7 +41,7 @@ class Device:
         key = kernel, blocks, threads, stream
         if key not in self._launchers:
             with warnings.catch_warnings():  # a small batch is no mistake
-                warnings.simplefilter("ignore", NumbaPerformanceWarning)
+                warnings.simplefilter("ignore")
                 self._launchers[key] = kernel[blocks, threads, cuda.external_stream(stream)]
         self._launchers[key](*arguments)
 

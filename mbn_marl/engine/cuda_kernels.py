@@ -146,10 +146,10 @@ def exact(function: Callable[..., None]) -> Any:
     """The kernel of a function, compiled so that each product is rounded, as the CPU does."""
     # NVVM would contract ``a * b + c`` into one operation with one rounding. It has an option
     # against that, which numba-cuda does not offer, so it is added to those of the kernel's
-    # compilation.
-    kernel = cuda.jit(function)
+    # compilation. Link-time optimisation would contract once more, and takes no such option.
     if SIMULATED:
-        return kernel
+        return cuda.jit(function)
+    kernel = cuda.jit(function, lto=False)
     compile_kernel = kernel.compile
 
     def compile_exactly(signature: Any) -> Any:

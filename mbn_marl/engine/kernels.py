@@ -16,6 +16,7 @@ from mbn_marl.engine.mdp import rewards
 from mbn_marl.engine.mdp.dynamics import objective
 from mbn_marl.engine.mdp.events import visit_code
 from mbn_marl.engine.mdp.failures import ABSENT, FAILED, status_of
+from mbn_marl.engine.mdp.knowledge import hears
 from mbn_marl.engine.mdp.observations import observe, put_state
 from mbn_marl.engine.reset import clear_output, reset_world
 from mbn_marl.jit.compile import address_of, compiled, entry_point, parallel_entry_point
@@ -163,6 +164,15 @@ def draw_actions(arguments, actions):
     p, _, mem, _, _, _, _ = worlds_of(arguments)
     for w in range(actions.shape[0]):
         draw_world(p, mem, w, actions)
+
+
+@entry_point
+def write_heard(arguments, rows):
+    """Fill ``rows`` (n, n): whether robot i of the first world receives words of robot j."""
+    p, _, mem, now, _, _, _ = worlds_of(arguments)
+    for i in range(now.x.shape[0]):
+        for j in range(now.x.shape[0]):
+            rows[i, j] = (i != j) & hears(p, mem, now, i, j, FIRST)
 
 
 # -- threads ---------------------------------------------------------------------------------------

@@ -36,6 +36,8 @@ class Snapshot:
         safety_distance: C, units, from centre to centre.
         success: whether the episode ended with every ROI visited.
         collision: whether the episode ended with two robots closer than C.
+        heard: (n, n) bool, whether robot i received words of robot k in this step: for
+            recorded episodes of robots that know only their own.
     """
 
     field: Field
@@ -54,6 +56,7 @@ class Snapshot:
     success: bool
     collision: bool
     empty: NDArray[np.bool_] | np.bool_ = np.False_
+    heard: NDArray[np.bool_] | np.bool_ = np.False_
 
     def judged(self) -> Self:
         at = self.positions[~self.gone]

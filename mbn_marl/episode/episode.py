@@ -20,6 +20,16 @@ Array = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
+class Knowledge:
+    """What n robots that know only their own know of m ROIs in T steps, and whom they hear."""
+
+    empty: NDArray[np.bool_]  #: (m,), the empty ROIs
+    done: NDArray[np.int64]  #: (n, m), from which step on robots know ROIs as done; T + 1 for never
+    found: NDArray[np.int64]  #: (n, m), from which step on robots have found ROIs, likewise
+    heard: NDArray[np.bool_]  #: (T + 1, n, n), whether robot i received words of robot k
+
+
+@dataclass(frozen=True, eq=False)
 class Episode:
     """The actions of n robots in T steps, and their results. Do not write to the arrays."""
 
@@ -39,6 +49,7 @@ class Episode:
     seed: int | None = None  #: of the world and of the policy; ``None`` if unknown
     world: int = 0  #: with the seed and ``number`` the key of all random numbers
     number: int = 0  #: of the episode, since the seed was set
+    knowledge: Knowledge | None = None  #: in no file; :func:`check_episode` finds it again
 
     @property
     def steps(self) -> int:
@@ -67,7 +78,7 @@ class Episode:
         """Return the snapshot after ``step`` steps, 0 to T; velocities are displacements in it."""
         config, trail = self.config.with_drawn(self.drawn), self.positions[: step + 1]
         winds = np.array([config.wind_increment()]) if self.winds is None else self.winds
-        last = step == self.steps
+        last, known = step == self.steps, self.knowledge
         return Snapshot(
             field=self.field,
             positions=trail[-1],
@@ -84,6 +95,7 @@ class Episode:
             safety_distance=config.safety_distance,
             success=last and self.outcome == "success",
             collision=last and self.outcome == "collision",
+            heard=np.False_ if known is None else known.heard[step],
         )
 
     def snapshots(self) -> Iterator[Snapshot]:

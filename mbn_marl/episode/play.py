@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mbn_marl.config import LIMITS, NavigationConfig
 from mbn_marl.engine import REWARD_TERMS, BatchEngine
-from mbn_marl.episode.episode import Array, Episode, Outcome
+from mbn_marl.episode.episode import Array, Episode, Knowledge, Outcome
 from mbn_marl.errors import EpisodeError, MbnError, ProblemsError
 from mbn_marl.field import Field
 
@@ -26,10 +27,13 @@ class EpisodeLog:
         self._actions: list[Array] = []
         self._terms: list[Array] = []
         self._rewards: list[float] = []
+        self._known: list[tuple[Array, ...]] = []
+        self._note_knowledge()
 
     def add(self, actions: Array) -> list[int]:
         """Log the engine's last step, with ``actions`` (n, 2); return the ROIs visited in it."""
         moment = self._engine.snapshot()
+        self._note_knowledge()
         self._positions.append(moment.positions)
         self._headings.append(moment.headings)
         self._winds.append(moment.wind)
@@ -40,6 +44,17 @@ class EpisodeLog:
         fresh = np.flatnonzero(moment.visited & (self._visits == 0))
         self._visits[fresh] = len(self._actions)
         return fresh.tolist()
+
+    def _note_knowledge(self) -> None:
+        if self._engine.config.knowledge == "own":
+            self._known.append(self._engine.knowledge())
+
+    def _knowledge(self) -> Knowledge | None:
+        if not self._known:
+            return None
+        done, found, heard = map(np.stack, zip(*self._known, strict=True))
+        since = [np.where(one.any(axis=0), one.argmax(axis=0), len(one)) for one in (done, found)]
+        return Knowledge(self._engine.decoys[0], since[0], since[1], heard)
 
     def episode(self, config: NavigationConfig, source: str, seed: int | None) -> Episode:
         """Return the episode so far; ``config`` may have a wind that the engine's has not."""
@@ -66,6 +81,7 @@ class EpisodeLog:
             seed=seed,
             world=engine.first_world,
             number=int(engine.episode_numbers[0]),
+            knowledge=self._knowledge(),
         )
 
 
@@ -126,8 +142,11 @@ def play(
     return log.episode(config, source, seed)
 
 
-def check_episode(episode: Episode, name: str = "episode") -> None:
-    """Check that the engine reproduces an episode, called ``name`` in errors, bit for bit."""
+def check_episode(episode: Episode, name: str = "episode") -> Episode:
+    """Check that the engine reproduces an episode, called ``name`` in errors, bit for bit.
+
+    Return it with the ``knowledge`` of robots that know only their own, which is in no file.
+    """
     try:
         again = play(
             *(episode.field, episode.config, episode.actions),
@@ -151,3 +170,4 @@ def check_episode(episode: Episode, name: str = "episode") -> None:
         ours, theirs = getattr(episode, what), getattr(again, what)
         if not np.array_equal(ours, theirs):
             raise EpisodeError(name, [f"{what}: {ours}; replayed in the engine: {theirs}"])
+    return replace(episode, knowledge=again.knowledge)

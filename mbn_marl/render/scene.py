@@ -48,6 +48,9 @@ class Scene:
         for centre, visited in zip(self._roi_pixels, snapshot.visited, strict=True):
             _stamp(self._frame, self._rois[bool(visited)], centre)
         centres = self._view.to_pixels(snapshot.positions)
+        for i, k in np.argwhere(snapshot.heard):  # the half at robot i: it hears robot k
+            ends = centres[i].tolist(), ((centres[i] + centres[k]) / 2).tolist()
+            pygame.draw.aaline(self._frame, style.rgb(style.FAINT_INK), *ends)
         for index, heading in enumerate(snapshot.headings.tolist()):
             if not math.isnan(heading):
                 self._draw_nose(index, centres[index], heading)

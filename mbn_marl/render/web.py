@@ -7,9 +7,12 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
+from typing import Any
+
+import numpy as np
 
 from mbn_marl.episode import Episode
-from mbn_marl.episode.files import to_file
+from mbn_marl.episode.files import PackedArray, to_file
 from mbn_marl.errors import MbnError
 from mbn_marl.render import style
 from mbn_marl.version import __version__
@@ -49,8 +52,17 @@ def whole(title: str, body: str, *extra_styles: str) -> str:
 
 
 def episodes_data(episodes: Sequence[Episode]) -> str:
-    found = [to_file(one).model_dump(mode="json", exclude={"actions"}) for one in episodes]
+    found = [*map(_data, episodes)]
     return json.dumps(found, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _data(episode: Episode) -> dict[str, Any]:
+    data = to_file(episode).model_dump(mode="json", exclude={"actions"})
+    if (known := episode.knowledge) is not None:
+        heard = np.packbits(known.heard.reshape(len(known.heard), -1), axis=1)
+        parts = {name: getattr(known, name).tolist() for name in ("empty", "done", "found")}
+        data["knowledge"] = {**parts, "heard": PackedArray.pack(heard).model_dump()}
+    return data
 
 
 def _static(name: str) -> str:

@@ -58,6 +58,13 @@ def test_cuda_that_is_missing_is_one_error() -> None:
     assert problem.startswith("device: ")
 
 
+def test_no_kernel_is_optimised_at_link_time() -> None:
+    from mbn_marl.engine import cuda_kernels
+
+    # It would round the sum of a product once, which the machine code of the test below never has.
+    assert cuda_kernels.infos.targetoptions["lto"] is False
+
+
 def ptxas() -> str | None:
     nvidia = importlib.util.find_spec("nvidia")
     folders = [*nvidia.submodule_search_locations] if nvidia else []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from mbn_marl import BatchEngine, Field, centralized_env, load_field
 from mbn_marl.adapters.gymnasium import CentralizedVectorEnv
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.config import make_config
+from mbn_marl.episode import check_episode, load_episode, play, save_episode
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import FieldSampler
 from mbn_marl.optimum import optimal_makespan
@@ -50,6 +52,25 @@ def test_words_pass_from_robot_to_robot(settings: dict[str, Any], steps: list[in
             heard[i] = heard[i] or step * (found["roi_0_left"] == 0.0)
     assert heard == steps
     assert engine.metrics()["rois_visited"].tolist() == [1, 1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay", [0, 2])
+def test_recorded_words_are_those_that_were_received(delay: int, tmp_path: Path) -> None:
+    """Robot 0 sees the ROI in step 1; each other one learns of it from the one before it alone."""
+    rare: dict[str, Any] = {"comm_radius": 25.0, "comm_loss": 0.8, "comm_delay": delay}
+    config = make_config({**OWN, **rare, "sensing_radius": 25.0, "hidden_rois": True})
+    played = play(ROW, config, np.zeros((90, 4, 2)), seed=3)
+    loaded = load_episode(save_episode(played, tmp_path / "episode.json"))
+    assert loaded.knowledge is None
+    for known in (played.knowledge, check_episode(loaded).knowledge):
+        assert known is not None and not known.heard[:delay].any()
+        assert (known.done[:, 1] == 91).all() and known.done[0, 0] == 1
+        assert known.found[:2, 0].tolist() == [0, 0]
+        for since, seers in ((known.done[:, 0], 1), (known.found[:, 0], 2)):
+            for i in range(seers, 4):
+                first = since[i - 1] + (i > seers) + delay  # what is heard is told a step later
+                assert since[i] == first + known.heard[first:, i, i - 1].argmax() < 90
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from baselines.cli import main
 from baselines.policies.load import ENTRIES
 from mbn_marl import Field
 from mbn_marl.config import make_config
-from mbn_marl.episode import Episode
+from mbn_marl.episode import Episode, Knowledge
 from mbn_marl.errors import MbnError
 from mbn_marl.render.web import replay_page
 from tests.support.chromium import MISSING, PROGRAM, Chromium, fact
@@ -139,6 +139,36 @@ def test_failures_headings_and_gusts_are_shown(browser: Chromium, tmp_path: Path
         assert each(page, ".robot.failed", "one.dataset.robot") == failed
         assert each(page, ".nose", turned) == [f"rotate({angle})"]
         assert each(page, ".wind", wind) == [text]
+    assert page.problems == []
+
+
+# Robot 0 hears robot 1 in step 2, and robot 1 hears nothing.
+HEARD = np.zeros((7, 2, 2), np.bool_)
+HEARD[2, 0, 1] = True
+DONE, FOUND = np.array([[5, 7, 7], [7, 2, 7]]), np.array([[0, 3, 7], [0, 0, 0]])
+KNOWN = Knowledge(np.array([False, True, False]), DONE, FOUND, HEARD)
+
+
+@pytest.mark.all
+def test_what_each_robot_knows_and_hears_is_shown(browser: Chromium, tmp_path: Path) -> None:
+    page = opened(browser, tmp_path, LONG, replace(SHORT, knowledge=KNOWN))
+    look = "['visited', 'empty', 'unfound'].filter(name => one.classList.contains(name)).join()"
+    ends = "(one.getAttribute('d') || '').match(/-?\\d[-\\d.e]*/g)"
+    assert page.run("document.querySelectorAll('.views').length") == 1
+    scrub(page, 2)
+    for expected in (["", "empty", ""], ["", "unfound", "unfound"], ["", "visited", ""]):
+        assert each(page, ".roi", look) == each(page, ".stage .label", look) == expected
+        page.press("r")
+    mine, other = robots(page, 1)
+    (line,) = each(page, ".links", ends)
+    np.testing.assert_allclose(np.array(line, float), [*mine, *(mine + other) / 2], 1e-6)
+    page.press("t")
+    assert each(page, ".links", ends) == [None]
+    for robot, chosen in ((".robot", ["0"]), (".stage", [])):
+        page.run(f"{PANEL}('{robot}')[0].dispatchEvent(new Event('click', {{bubbles: true}}))")
+        assert each(page, ".viewer", "one.dataset.robot") == chosen
+    scrub(page, 6)
+    assert each(page, ".roi", look) == ["visited", "empty", ""] and fact(page, 1, "ROIs") == "1/2"
     assert page.problems == []
 
 

@@ -43,6 +43,9 @@ class Episode {
       safetyDistance: numbers.safety_distance,
     });
     this.places = unpack(file.positions);
+    if (file.knowledge) {
+      this.knowledge = { ...file.knowledge, heard: unpack(file.knowledge.heard) };
+    }
     this.headings = file.headings ? unpack(file.headings) : null;
     this.winds = file.winds ? unpack(file.winds) : null;
     const team = decode(file.rewards.team);
@@ -99,6 +102,25 @@ class Episode {
     return this.visits[roi] !== null && this.visits[roi] <= time;
   }
 
+  /** How an ROI looks at `time`: to a robot that knows only its own, or, to none, as it is. */
+  look(roi, time, robot = null) {
+    const { knowledge } = this;
+    if (robot === null) {
+      const empty = knowledge?.empty[roi] ?? false;
+      return { visited: this.isVisited(roi, time), empty, unfound: false };
+    }
+    const step = this.step(time);
+    const visited = knowledge.done[robot][roi] <= step;
+    return { visited, empty: false, unfound: !visited && knowledge.found[robot][roi] > step };
+  }
+
+  /** Whether a robot received words of another one in a step: a bit of a row of bytes. */
+  hears(robot, other, step) {
+    const row = Math.ceil(this.robots ** 2 / 8);
+    const bit = robot * this.robots + other;
+    return ((this.knowledge.heard[step * row + (bit >> 3)] >> (7 - (bit & 7))) & 1) === 1;
+  }
+
   hasFailed(robot, time) {
     const step = this.failures[robot] ?? null;
     return step !== null && step <= time;
@@ -106,5 +128,10 @@ class Episode {
 
   visitedCount(time) {
     return this.visits.filter((_, roi) => this.isVisited(roi, time)).length;
+  }
+
+  /** How many ROIs are not empty. */
+  get roiCount() {
+    return this.visits.length - (this.knowledge?.empty.filter(Boolean).length ?? 0);
   }
 }

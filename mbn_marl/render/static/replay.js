@@ -35,6 +35,7 @@ class Panel {
       this.wind = windArrow();
       facts.append(this.wind.node);
     }
+    if (episode.knowledge) facts.append(this.#views());
     this.element = html(
       "section",
       { class: "panel" },
@@ -55,6 +56,39 @@ class Panel {
     return { value, node: html("div", {}, html("dt", {}, name), value) };
   }
 
+  /** Whose knowledge ROIs show, and whether lines show who tells whom. */
+  #views() {
+    const option = (robot) => html("option", { value: robot }, `as robot ${robot} knows`);
+    const robots = Array.from({ length: this.episode.robots }, (_, robot) => option(robot));
+    const truth = html("option", { value: "" }, "as they are");
+    this.viewer = html("select", { "aria-label": "ROIs", title: "key R, or click a robot" }, truth, ...robots);
+    this.switch = html("input", { type: "checkbox", checked: "" });
+    for (const control of [this.viewer, this.switch]) {
+      control.addEventListener("change", () => this.#look());
+    }
+    this.stage.element.classList.add("own");
+    this.stage.element.addEventListener("click", ({ target }) => {
+      const robot = target.closest(".robot")?.dataset.robot ?? "";
+      this.viewer.value = robot === this.viewer.value ? "" : robot;
+      this.#look();
+    });
+    const links = html("label", { title: "key T" }, this.switch, " who tells whom");
+    return html("div", { class: "views" }, html("label", {}, "show ROIs ", this.viewer), links);
+  }
+
+  #look() {
+    this.stage.viewer = this.viewer.value === "" ? null : Number(this.viewer.value);
+    this.stage.linked = this.switch.checked;
+    this.stage.show(this.stage.time);
+  }
+
+  /** Show the next robot's knowledge; after the last one's, the truth. */
+  next() {
+    if (!this.viewer) return;
+    this.viewer.selectedIndex = (this.viewer.selectedIndex + 1) % this.viewer.length;
+    this.#look();
+  }
+
   show(time) {
     const { episode } = this;
     this.stage.show(time);
@@ -63,7 +97,7 @@ class Panel {
     if (step === this.step) return;
     this.step = step;
     this.wind?.show(episode.windAfter(step));
-    const rois = `${episode.visitedCount(step)}/${episode.visits.length}`;
+    const rois = `${episode.visitedCount(step)}/${episode.roiCount}`;
     [`${step}`, shown(episode.returns[step]), rois].forEach((text, index) => {
       this.facts[index].value.textContent = text;
     });
@@ -139,6 +173,8 @@ class Replay {
       End: () => this.seek(this.span),
       "+": () => this.shift(1),
       "-": () => this.shift(-1),
+      r: () => this.panels.forEach((panel) => panel.next()),
+      t: () => this.panels.forEach((panel) => panel.switch?.click()),
     };
     actions[key]?.();
     return key in actions;
@@ -200,7 +236,8 @@ function mount() {
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || !current) return;
     const on = event.target.tagName;
-    if (on === "SELECT" || (on === "BUTTON" && event.key === " ")) return;
+    const pressed = event.key === " " && event.target.matches("button, [type=checkbox]");
+    if (on === "SELECT" || pressed) return;
     if (current.replay.press(event.key, event.shiftKey)) event.preventDefault();
   });
 }

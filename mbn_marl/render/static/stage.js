@@ -1,4 +1,5 @@
-// The field of one episode: ground, trails, ROIs, robots and the names of ROIs, from bottom to top.
+// The field of one episode: ground, trails, ROIs, links, robots and the names of ROIs, from bottom to
+// top.
 // The ground and what moves are SVG; trails, which only grow, are drawn on a canvas between them.
 
 const BORDER = 0.05; // round the field, as a share of its larger side
@@ -14,19 +15,22 @@ class Stage {
     this.#frame();
     this.trails = html("canvas");
     this.rois = episode.field.rois.map((place) => this.#roi(place));
+    this.links = svg("path", { class: "links" });
     this.tips = this.#robots((index) => svg("line", { class: "tip", stroke: this.#colour(index) }));
     this.noses = this.#robots((index) => this.#nose(index));
     this.bodies = this.#robots((index) => this.#robot(index));
-    const names = episode.field.rois.map((place, index) => this.#name(place, index));
+    this.names = episode.field.rois.map((place, index) => this.#name(place, index));
     const view = `0 0 ${this.width} ${this.height}`;
     this.element = html(
       "div",
       { class: "stage", style: `aspect-ratio: ${this.width} / ${this.height}` },
       svg("svg", { viewBox: view }, this.#ground()),
       this.trails,
-      svg("svg", { viewBox: view }, ...this.rois.map(({ node }) => node), ...this.tips, ...this.bodies, ...names),
+      svg("svg", { viewBox: view }, ...this.rois, this.links, ...this.tips, ...this.bodies, ...this.names),
     );
     this.time = 0;
+    this.viewer = null; // the robot whose knowledge ROIs show
+    this.linked = true;
     new ResizeObserver(() => this.#resize()).observe(this.element);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.#redraw());
   }
@@ -36,9 +40,10 @@ class Stage {
     this.time = time;
     const { episode } = this;
     this.rois.forEach((roi, index) => {
-      const visited = episode.isVisited(index, time);
-      if (visited !== roi.visited) roi.node.classList.toggle("visited", visited);
-      roi.visited = visited;
+      for (const [name, on] of Object.entries(episode.look(index, time, this.viewer))) {
+        roi.classList.toggle(name, on);
+        this.names[index].classList.toggle(name, on);
+      }
     });
     const step = episode.step(time);
     this.#trailTo(step);
@@ -48,9 +53,21 @@ class Stage {
       const turn = (-180 / Math.PI) * episode.heading(robot, time);
       if (!Number.isNaN(turn)) this.noses[robot].setAttribute("transform", `rotate(${turn})`);
       body.classList.toggle("failed", episode.hasFailed(robot, time));
+      body.classList.toggle("viewer", robot === this.viewer);
       const [fromX, fromY] = this.#seen(...episode.position(robot, step));
       fill(this.tips[robot], { x1: fromX, y1: fromY, x2: x, y2: y }, []);
     });
+    if (episode.knowledge) this.links.setAttribute("d", this.linked ? this.#linksAt(time) : "");
+  }
+
+  /** From each robot half of the way to each one that it hears: a whole line if both hear. */
+  #linksAt(time) {
+    const places = this.#robots((robot) => this.#seen(...this.episode.position(robot, time)));
+    const half = ([x, y], [toX, toY]) => `M${x} ${y}L${(x + toX) / 2} ${(y + toY) / 2}`;
+    const heard = (robot, other) => this.episode.hears(robot, other, this.episode.step(time));
+    return places
+      .flatMap((place, robot) => places.filter((_, other) => heard(robot, other)).map((to) => half(place, to)))
+      .join("");
   }
 
   /** What part of the plane is seen: the field with a border, y up. */
@@ -90,9 +107,10 @@ class Stage {
       { class: "pixels" },
       svg("circle", { class: "marker", r: MARKER }),
       svg("path", { class: "tick", d: "M-2.7 0.1L-0.7 2.2L2.9 -2" }),
+      svg("path", { class: "void", d: "M-4.2 -4.2L4.2 4.2" }),
     );
     const reach = svg("circle", { class: "reach", r: this.episode.roiRadius });
-    return { node: this.#at(place, "roi", reach, marker), visited: false };
+    return this.#at(place, "roi", reach, marker);
   }
 
   #name(place, index) {

@@ -279,6 +279,7 @@ def test_a_search_has_rows_and_prices_at_each_radius(tmp_path: Path) -> None:
     assert len(priced.lines) == 3
     told = rows[0] | {"mean": None}
     assert "price of decentralisation, 0" not in prices([told])
+    assert '"knowledge":{"empty":[' in result_page(found, tmp_path)
 
 
 def test_robots_of_two_kinds_pass_doors_by_turns(tmp_path: Path) -> None:
