@@ -151,8 +151,5 @@ def test_the_installed_splits_are_proved(split: Split, tier: str) -> None:
 def test_the_names_of_tiers_are_those_of_the_page() -> None:
     page = (Path(__file__).parents[2] / "docs" / "fields.md").read_text(encoding="utf-8")
     section = page.split("### Frozen fields")[1]
-    assert (
-        tuple(re.findall(r"(?m)^\| `([\w-]+)` \|", section))
-        == NAMES
-        == (*TIERS, WEATHER, *SETTINGS)
-    )
+    found = tuple(re.findall(r"(?m)^\| `([\w-]+)` \|", section))
+    assert found == NAMES == (*TIERS, WEATHER, *SETTINGS)
