@@ -76,7 +76,7 @@ def test_wind_is_part_of_the_plan() -> None:
 
 @pytest.mark.parametrize("field", [U_SHAPE, star_field(0), star_field(1)])
 def test_fields_that_are_not_convex_have_verified_plans(field: Field) -> None:
-    found = plan(field, time_limit=20.0)
+    found = plan(field, work_limit=1000)
     assert found.makespan is not None
     assert found.makespan_lower_bound <= found.makespan
     assert (found.makespan - found.makespan_lower_bound) / found.makespan <= 0.15
