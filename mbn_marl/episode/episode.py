@@ -21,7 +21,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """What n robots that know only their own know of m ROIs in T steps, and whom they hear."""
+    """The ROIs that n robots know in T steps, of m, and whom they hear; each knows only its own."""
 
     empty: NDArray[np.bool_]  #: (m,), the empty ROIs
     done: NDArray[np.int64]  #: (n, m), from which step on robots know ROIs as done; T + 1 for never

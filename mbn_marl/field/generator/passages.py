@@ -10,7 +10,7 @@ from mbn_marl.field.field import Field
 
 Point = tuple[float, float]
 ROOMS = (2, 2, 2, 3)
-"""How many there are: each entry is equally likely. Robots seldom wait where there are three."""
+"""Counts, each entry equally likely. Robots seldom wait where there are three."""
 TEAM, ROIS = (2, 4), (2, 4)
 """Ranges: robots and ROIs of each of the two kinds."""
 SIDE, WIDTH, DEPTH = (60.0, 100.0), (5.0, 8.0), (20.0, 60.0)
@@ -22,7 +22,7 @@ TRIES = 200
 
 @dataclass(frozen=True)
 class Passages:
-    """Makes fields by number; Python promises the same random numbers in all versions."""
+    """Makes fields by number; another Python may draw others, which fail the hashes of a split."""
 
     seed: int
 
