@@ -180,3 +180,27 @@ def test_equals_the_cpu_on_a_gpu_also_as_a_graph(dtype: Any) -> None:
         for expected, tensor in zip(cpu.step(drawn), results, strict=True):
             np.testing.assert_array_equal(tensor.cpu().numpy(), expected)
     np.testing.assert_array_equal(gpu.state().cpu().numpy(), cpu.state())
+
+
+@needs_gpu
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"decoys": 12},
+        {"hidden_rois": True, "comm_delay": 2, "comm_loss": 0.2, "comm_radius": 150.0},
+    ],
+    ids=str,
+)
+def test_own_knowledge_in_random_fields_equals_the_cpu_on_a_gpu(settings: dict[str, Any]) -> None:
+    own = {"knowledge": "own", "observation": "entities", "sensing_radius": 100.0, "max_steps": 150}
+    fields = FieldSampler(robots=5, rois=24, size=700, seed=4)
+    cpu = BatchEngine(fields, 1024, seed=3, **own, **settings)
+    gpu = BatchEngine(fields, 1024, seed=3, device="cuda", **own, **settings)
+    expected: tuple[Any, ...] = (cpu.reset(),)
+    found: tuple[Any, ...] = (gpu.reset(),)
+    for _ in range(200):
+        for one, tensor in zip(expected, found, strict=True):
+            np.testing.assert_array_equal(tensor.cpu().numpy(), one)
+        actions = cpu.sample_actions()
+        expected = *cpu.step(actions), cpu.team_rewards, cpu.state()
+        found = *gpu.step(torch.from_numpy(actions).cuda()), gpu.team_rewards, gpu.state()

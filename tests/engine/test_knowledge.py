@@ -69,7 +69,7 @@ def test_recorded_words_are_those_that_were_received(delay: int, tmp_path: Path)
         assert known.found[:2, 0].tolist() == [0, 0]
         for since, seers in ((known.done[:, 0], 1), (known.found[:, 0], 2)):
             for i in range(seers, 4):
-                first = since[i - 1] + (i > seers) + delay  # what is heard is told a step later
+                first = since[i - 1] + (i > seers) + delay  # words go one hop a step
                 assert since[i] == first + known.heard[first:, i, i - 1].argmax() < 90
 
 
