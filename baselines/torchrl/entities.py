@@ -353,14 +353,17 @@ class SetNetwork(nn.Module):
         self._team = team
         self.encoder = SetEncoder(tokens, widths)
         self.memory = SetMemory((0,), widths[-1], memory) if memory else None
-        self.width = (memory or widths[-1]) * (2 if team else 1)
+        # It adds nothing at first, so that a network without a memory can be given one.
+        self.recall = _linear(memory, widths[-1], 0.0) if memory else nn.Identity()
+        self.width = widths[-1] * (2 if team else 1)
 
     def forward(self, rows: torch.Tensor, past: Past | None = None) -> torch.Tensor:
         some, present = _of_present(rows)
         flow, *frame = self.encoder(some, rows.shape[-2])
         if self.memory is not None and past is not None:
             parts = (_to_all(part, present, rows.shape[:-1]) for part in (flow, *frame))
-            flow = self.memory(next(parts), past, *parts).flatten(0, -2)[present]
+            recalled = self.memory(next(parts), past, *parts).flatten(0, -2)[present]
+            flow = flow + self.recall(recalled)
         if self._team:
             whole = _to_all(flow, present, rows.shape[:-1])
             count = rows.any(-1, keepdim=True).sum(-2, keepdim=True).clamp(min=1)
@@ -379,7 +382,7 @@ class SetActor(SetNetwork):
     def __init__(self, tokens: Tokens, widths: tuple[int, ...], **how: Any) -> None:
         super().__init__(tokens, widths, **how)
         self.mix = _layers(self.width, widths[-1]) if self._team else nn.Identity()
-        self.head = _linear(widths[-1] if self._team else self.width, 2, 0.01)
+        self.head = _linear(widths[-1], 2, 0.01)
 
     def outputs(self, flow: torch.Tensor, *frame: torch.Tensor) -> torch.Tensor:
         return Turned.back(self.head(self.mix(flow)), *frame)

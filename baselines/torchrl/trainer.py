@@ -20,7 +20,7 @@ from torchrl.objectives.value import MultiAgentGAE
 from baselines.policies.load import load_trained, open_run
 from baselines.runs import tensors
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
-from baselines.runs.folder import saved_at
+from baselines.runs.folder import RunFolder, saved_at
 from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.memory import CHUNK
@@ -44,8 +44,12 @@ from mbn_marl.field import FieldSampler
 
 NETWORKS, OPTIMIZER = "networks.safetensors", "optimizer.safetensors"
 MEMORIES = "memories.safetensors"
+NOISE = "log_std"
 WORLDS, COUNTERS = "worlds.npz", "counters.json"
-MINIMISED = ("loss_objective", "loss_critic", "loss_entropy")
+MINIMISED = ("loss_critic", "loss_objective", "loss_entropy")
+# A run that begins with another one's actor learns its values first, in so many rollouts: an
+# untrained critic would ruin the actor.
+CRITIC_FIRST = 5
 LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction")
 
 
@@ -207,12 +211,11 @@ class Trainer:
 
     def run(self) -> None:
         config, policy = self.config, TeamPolicy(self.network)
-        env_steps = 0
+        env_steps, begun_with = 0, self.task.config.transferred_from
         if self.recorder.checkpoint is not None:
             env_steps = self._restore(self.recorder.checkpoint)
-        elif (source := self.task.config.transferred_from) is not None:
-            theirs: Any = load_trained(open_run(str(source)))
-            self.network.load_state_dict(theirs.network.state_dict())
+        elif begun_with is not None:
+            self._begin_with(open_run(str(begun_with)))
         self.recorder.start()
         while self.recorder.has_more(env_steps, begun=self.curriculum.begun):
             progress = env_steps / self.task.config.steps
@@ -225,7 +228,8 @@ class Trainer:
             rollout = next(self.rollouts).copy()
             collected = time.perf_counter()
             self._estimate(rollout)
-            losses = self._descend(self._samples(rollout))
+            first = begun_with and env_steps < CRITIC_FIRST * config.decisions
+            losses = self._descend(self._samples(rollout), MINIMISED[: 1 if first else None])
             self.network.norm.update(rollout[Key.OBSERVATION])
             self.critic.update(rollout)
             diagnostics = {
@@ -248,6 +252,20 @@ class Trainer:
         self.network.amplify(config.final_gain)
         self.recorder.finish(env_steps, policy)
 
+    def _begin_with(self, source: RunFolder) -> None:
+        # The noise, and the memory if the source has none, are as in a new run.
+        theirs: Any = load_trained(source)
+        ours = self.network.state_dict()
+        self.network.load_state_dict({**ours, **theirs.network.state_dict(), NOISE: ours[NOISE]})
+        # The critic begins with what they share, which is the encoder.
+        values = self.critic.values.state_dict()
+        shared = {
+            name: tensor
+            for name, tensor in self.network.mean.state_dict().items()
+            if name.startswith("encoder.") and values.get(name, tensor[:0]).shape == tensor.shape
+        }
+        self.critic.values.load_state_dict({**values, **shared})
+
     def _narrowing(self, env_steps: int) -> float:
         # The first half of the way follows the size of the ROIs, so that a team whose ROIs grow
         # again explores; the second half follows the time.
@@ -258,15 +276,12 @@ class Trainer:
     def _estimate(self, rollout: TensorDictBase) -> None:
         # An episode cut off by the time limit bootstraps from the value of its last
         # observation, rollout["next"], never from that of the next episode's first.
-        self.critic(rollout)
-        following = self.network.norm(rollout["next"])
-        if self.config.memory:
-            # A step each, after what the critic remembers of the steps before.
-            seen = following.select(*self.critic.in_keys, self.critic.first).reshape(-1)
-            values = self.critic(seen)[Key.VALUE].unflatten(0, rollout.shape)
-            following.set(Key.VALUE, values)
-        else:
-            self.critic(following)
+        values = self.critic(rollout)[Key.VALUE].roll(-1, 1)
+        apart = rollout["next", "done"].squeeze(-1).clone()
+        apart[:, -1] = True  # the others are followed by a step of the rollout
+        following = self.network.norm(rollout["next"][apart])
+        values[apart] = self.critic(following)[Key.VALUE]
+        rollout["next", Key.VALUE] = values
         rollout[self.reward] *= self.config.reward_scale
         if self.tokens is not None and self.config.shaping:
             rollout[self.reward] += self.config.shaping * self._shaped(rollout, self.tokens)
@@ -309,7 +324,7 @@ class Trainer:
         nearer: torch.Tensor = ways[0] - self.estimator.gamma * ways[1] * running
         return nearer.reshape(rollout[self.reward].shape)
 
-    def _descend(self, samples: TensorDictBase) -> dict[str, float]:
+    def _descend(self, samples: TensorDictBase, minimised: Sequence[str]) -> dict[str, float]:
         # The normalisation does not change meanwhile: old and new log-probabilities are of the
         # same inputs.
         history = []
@@ -320,7 +335,7 @@ class Trainer:
                 part = samples.apply(pick, batch_size=rows.shape)
                 losses = self.loss(part)
                 self.optimizer.zero_grad()
-                sum(losses[name] for name in MINIMISED).backward()
+                sum(losses[name] for name in minimised).backward()
                 torch.nn.utils.clip_grad_norm_(self.parameters, self.config.max_grad_norm)
                 self.optimizer.step()
                 history.append(losses.select(*LOGGED).detach())

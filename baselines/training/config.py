@@ -18,7 +18,7 @@ from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, FieldError, MbnError, collecting, unknown
 from mbn_marl.field import Field, FieldSampler, load_fields
 from mbn_marl.field.files import parse_yaml
-from mbn_marl.field.splits import TIERS
+from mbn_marl.field.splits import SEARCH, TIERS
 
 # Overrides that begin with this and a point are settings of the environment.
 ENVIRONMENT = "environment"
@@ -64,7 +64,8 @@ class TrainConfig:
     # Stochastic episodes of an evaluation.
     episodes: int = 100
     # For random fields: evaluate on the frozen fields of this tier of the benchmark, on the way on
-    # those of the split validation, at the end on those of test.
+    # those of the split validation, at the end on those of test. 6-search fixes settings of the
+    # environment too; its comm_radius is to be given.
     tier: str | None = None
     # Worlds stepped side by side; by default the setting's number.
     num_envs: int | None = None
@@ -131,8 +132,9 @@ def problems_of(request: Mapping[str, Any]) -> list[str]:
     if not (label is None or (isinstance(label, str) and LABEL.fullmatch(label))):
         allowed = "letters, digits, _ . + -, the first a letter or digit"
         problems.append(f"label: {label!r}; allowed: {allowed}")
-    if request.get("tier") not in (None, *TIERS):
-        problems.append(f"tier: {unknown('tier', str(request.get('tier')), TIERS)}")
+    tiers = *TIERS, SEARCH
+    if request.get("tier") not in (None, *tiers):
+        problems.append(f"tier: {unknown('tier', str(request.get('tier')), tiers)}")
     if not isinstance(request.get("field"), str):
         problems.append(f"field: must be a name or a path (got {request.get('field')!r})")
     for name in ("environment", "hyperparameters"):

@@ -31,8 +31,10 @@ from baselines.policies.policy import TrainedPolicy
 from baselines.runs.files import read_json, reading, write_json
 from baselines.runs.folder import RunFolder, saved_at
 from baselines.training.config import Task
+from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import FieldSampler, load_split
+from mbn_marl.field.splits import SEARCH, search_side_by_side
 
 # A progress row spans at least so many env-steps, except the last one and one before a fresh
 # evaluation: some learners update every few steps.
@@ -283,18 +285,21 @@ class Recorder:
         self, policy: TrainedPolicy, times: int, seed: int
     ) -> tuple[Evaluation, Evaluation]:
         task, several = self._task, times * self._task.config.episodes
-        drawn = not is_one_episode(policy, task.settings, deterministic=True)
+        settings, tier = dict(task.settings), task.config.tier
         place: Place = unseen(task.field, seed)
-        if task.config.tier is not None:
-            place = load_split("test" if times > 1 else "validation", task.config.tier)
+        if tier is not None:
+            split = "test" if times > 1 else "validation"
+            if tier == SEARCH:
+                place = search_side_by_side(split, make_config(settings).comm_radius)
+                settings |= {"decoys": 0, **place[0].settings}
+            else:
+                place = load_split(split, tier)
             several = max(1, several // len(place))
-        elif isinstance(place, FieldSampler):
-            drawn = True
+        drawn = not is_one_episode(policy, settings, deterministic=True)
+        drawn |= isinstance(place, FieldSampler)
         # Without random numbers all episodes with mean actions on a field are the same.
         sampled, mean = (
-            evaluate(
-                policy, place, task.settings, episodes=n, seed=seed, deterministic=deterministic
-            )
+            evaluate(policy, place, settings, episodes=n, seed=seed, deterministic=deterministic)
             for n, deterministic in ((several, False), (several if drawn else 1, True))
         )
         return sampled, mean

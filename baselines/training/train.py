@@ -20,6 +20,7 @@ from mbn_marl.config import expand, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, MbnError, collecting
 from mbn_marl.field import Field, FieldSampler, load_fields
+from mbn_marl.field.splits import RADII, radius_name, training_settings
 
 # The hyperparameters that decide which networks there are.
 NETWORK = ("actor", "network", "hidden", "sharing", "memory")
@@ -116,8 +117,18 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
         )
         recorded = expand(hyperparameters.environment)
     with collecting(problems):
-        settings = {**recorded, **expand(config.environment)}
-        make_config(settings)
+        fixed = training_settings(config.tier)
+        settings = {**recorded, **fixed, **expand(config.environment)}
+        made = make_config(settings)
+        problems += [
+            f"environment.{name}: {settings[name]!r}; allowed with tier {config.tier}: {value!r}"
+            for name, value in fixed.items()
+            if settings[name] != value
+        ]
+        if fixed and radius_name(made.comm_radius) is None:
+            allowed = ", ".join(RADII)
+            where = f"allowed with tier {config.tier}: {allowed}"
+            problems.append(f"environment.comm_radius: {made.comm_radius}; {where}")
     if problems:
         raise ConfigError("training", problems)
     fields = load_fields(config.field)
@@ -199,6 +210,8 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
         compared = {name: (seen.get(name), here.get(name)) for name in {**seen, **here}}
     # The zoo's first have no other network, and no memory.
     theirs = {"network": "mlp", "memory": 0, **config["hyperparameters"]}
+    if theirs["network"] == "entities" and not theirs["memory"]:
+        asked.pop("memory", None)  # the policy is given one
     compared |= {f"hyperparameters.{name}": (theirs.get(name), asked[name]) for name in asked}
     problems = [
         f"{name}: the policy's run has {theirs}, this run {ours}"

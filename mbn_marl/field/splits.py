@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ValidationError, ValidationInfo, field_validator
 from pydantic import Field as Described
 
-from mbn_marl.config import Condition, describe
+from mbn_marl.config import MOST, Condition, describe
 from mbn_marl.errors import FieldError, ProblemsError, unknown
 from mbn_marl.field.field import Field
 from mbn_marl.field.generator.passages import Passages
@@ -41,13 +41,14 @@ SEARCH = "6-search"
 """Robots that know only their own look for the ROIs that are not empty."""
 PASSAGES = "7-passages"
 """Two kinds of robots change sides, through doors for one at a time."""
+ROIS, DECOYS = 24, 12
+"""Those of 6-search, and how many of them are empty."""
 FIELDS: Mapping[str, Mapping[str, Any]] = {
     **TIERS,
-    SEARCH: {"families": ["convex"], "robots": 5, "rois": 24, "size": 700},
+    SEARCH: {"families": ["convex"], "robots": 5, "rois": ROIS, "size": 700},
     PASSAGES: {},
 }
 """The tiers that freeze fields."""
-DECOYS = 12
 OWN: Mapping[str, Any] = {"knowledge": "own", "sensing_radius": 100.0, "max_steps": 600}
 SETTINGS: Mapping[str, Mapping[str, Any]] = {
     SEARCH: {**OWN, "look_radius": 60.0},  # and each instance's empty_rois
@@ -104,7 +105,7 @@ class _Calm(BaseModel):
 
 class _Searched(_Calm):
     empty: Annotated[  # type: ignore[assignment]
-        tuple[Annotated[int, Described(ge=0, lt=24)], ...],
+        tuple[Annotated[int, Described(ge=0, lt=ROIS)], ...],
         Described(min_length=DECOYS, max_length=DECOYS),
     ]
 
@@ -211,6 +212,35 @@ def make_sampler(split: Split, tier: str) -> FieldSampler | Passages:
 def search_settings(empty: Sequence[int], radius: float) -> dict[str, Any]:
     """Return what the tier 6-search fixes of the environment of an instance."""
     return {**SETTINGS[SEARCH], "empty_rois": tuple(empty), "comm_radius": radius}
+
+
+def training_settings(tier: str | None) -> dict[str, Any]:
+    """Return what a tier fixes of the environment in training, on fields like its own."""
+    return {**SETTINGS[SEARCH], "decoys": DECOYS} if tier == SEARCH else {}
+
+
+def search_side_by_side(split: str, radius: float) -> tuple[Instance, ...]:
+    """Return the instances of 6-search at a radius; their ``settings`` are the same for all.
+
+    The empty ROIs of each are the last ones, in place of the numbers that were frozen.
+    """
+    settings = search_settings(range(ROIS - DECOYS, ROIS), radius)
+    return tuple(
+        replace(one, field=_with_last(one.field, one.settings["empty_rois"]), settings=settings)
+        for one in load_split(split, SEARCH)
+        if one.radius == radius_name(radius)
+    )
+
+
+def radius_name(radius: float) -> str | None:
+    """Return the name of a communication radius of 6-search, of which the greatest is all."""
+    return {min(one, MOST): name for name, one in RADII.items()}.get(min(radius, MOST))
+
+
+def _with_last(field: Field, rois: Sequence[int]) -> Field:
+    order = [*(k for k in range(len(field.rois)) if k not in rois), *rois]
+    parts = field.vertices, field.rois[order], field.starts, field.holes
+    return Field(*parts, arena=field.arena, name=field.name)
 
 
 def geometry_hash(field: Field) -> str:

@@ -28,6 +28,7 @@ from mbn_marl.field.splits import (
     Split,
     geometry_hash,
     make_sampler,
+    search_side_by_side,
 )
 from tests.support.field_cases import places_of
 from tests.support.frozen import write_split, write_splits
@@ -56,6 +57,24 @@ def test_a_searched_field_is_there_at_each_radius_with_its_empty_rois(tmp_path: 
     known = config.knowledge, config.comm_radius, config.look_radius, config.max_steps
     assert known == ("own", 100.0, 60.0, 600)
     assert config.empty_rois == tuple(range(12))
+
+
+def test_searched_fields_with_their_empty_rois_last_are_the_same_fields() -> None:
+    frozen = [one for one in load_split("validation", SEARCH) if one.radius == "100"]
+    moved = search_side_by_side("validation", 100.0)
+    assert [one.field.name for one in moved] == [one.field.name for one in frozen]
+    assert all(one.settings == moved[0].settings for one in moved)
+    for one, other in zip(frozen[:5], moved, strict=False):
+        places = [
+            {tuple(each.field.rois[k].tolist()) for k in each.settings["empty_rois"]}
+            for each in (one, other)
+        ]
+        assert places[0] == places[1] != set()
+        assert {*map(tuple, one.field.rois.tolist())} == {*map(tuple, other.field.rois.tolist())}
+        assert one.makespan_lower_bound == other.makespan_lower_bound
+        assert one.field.polygon == other.field.polygon
+        assert (one.field.starts == other.field.starts).all()
+
 
 
 def test_passages_have_two_kinds_and_what_the_tier_fixes(tmp_path: Path) -> None:

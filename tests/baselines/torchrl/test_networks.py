@@ -47,6 +47,9 @@ def loud(shape: TeamShape) -> GaussianPolicy:
     torch.manual_seed(0)
     network = GaussianPolicy(shape)
     network.amplify(50.0)
+    for module in network.modules():
+        if isinstance(recall := getattr(module, "recall", None), torch.nn.Linear):
+            torch.nn.init.orthogonal_(recall.weight)  # 0 at first
     return network
 
 

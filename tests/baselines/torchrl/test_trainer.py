@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,12 +21,14 @@ from baselines.torchrl.config import load
 from baselines.torchrl.entities import SetActor, SetCritic, Tokens
 from baselines.torchrl.networks import Key
 from baselines.torchrl.trainer import Trainer, traits_of
+from baselines.training import run_logger
 from baselines.training.config import TrainConfig
 from baselines.training.train import prepare, train
 from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import FieldSampler, load_fields
+from mbn_marl.field.splits import SEARCH, search_side_by_side
 from tests.baselines.conftest import Refusal
 from tests.support.runs import interrupted, recorded, same_policies, small_config
 
@@ -63,8 +66,10 @@ def test_a_time_limit_is_bootstrapped_and_a_termination_is_not(
         # An update begins with the probabilities that the rollout had, also in the middle of it.
         again = self.actor.get_dist(made).log_prob(made[Key.ACTION])
         torch.testing.assert_close(again, made[Key.LOG_PROB], atol=1e-4, rtol=1e-4)
-        seen = TensorDict({Key.NORMALIZED: rollout["next", *Key.NORMALIZED]}, rollout.batch_size)
-        last = rollout["next", Key.VALUE] if memory else self.critic(seen)[Key.VALUE]
+        # The value of what each step led to, after what the critic remembers of the steps before.
+        kinds = (*self.critic.in_keys, *[self.critic.first] * bool(memory))
+        seen = self.network.norm(rollout["next"].clone()).select(*kinds).reshape(-1)
+        last = self.critic(seen)[Key.VALUE].unflatten(0, rollout.shape)
         kept.append((self.reward, rollout.clone(), last))
         return made
 
@@ -258,25 +263,47 @@ def test_a_policy_of_random_fields_goes_anywhere_but_wants_a_field(
 
 
 @pytest.mark.parametrize(
-    ("setting", "source", "gain"),
-    [("G", "zoo:generalist", 3.0), ("N", "zoo:field_03", 1.0)],
+    ("setting", "source", "memory", "gain"),
+    [("G", "zoo:generalist", 6, 3.0), ("N", "zoo:field_03", 0, 1.0)],
 )
-def test_a_run_begins_with_the_network_of_another_one_and_ends_with_its_gain(
-    setting: Setting, source: str, gain: float, tmp_path: Path
+def test_a_run_begins_with_the_actor_of_another_one_and_ends_with_its_gain(
+    setting: Setting, source: str, memory: int, gain: float, tmp_path: Path
 ) -> None:
     small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
-    still = {**small, "learning_rate": (1e-9, 1e-9), "log_std_cap": (9.0, 9.0)}
+    noise = {"log_std_start": -0.5, "log_std_cap": (9.0, 9.0)}
+    still = {**small, **noise, "learning_rate": (1e-9, 1e-9), "memory": memory}
     begins = {"steps": 16, "episodes": 1, "transferred_from": Path(source)}
     tuned = train(
         TrainConfig("mappo", "field_03", setting, hyperparameters=still, **begins),
         tmp_path / "tuned",
     )
-    first, second = (load_policy(str(p)).policy.network for p in (source, tuned.path))
-    tuned_to = dict(second.named_parameters())
-    for name, values in first.named_parameters():
-        expected = gain * values if name.startswith("mean.head") else values
-        torch.testing.assert_close(tuned_to[name], expected, atol=1e-6, rtol=0.0)
+    loaded = [load_policy(str(p)) for p in (source, tuned.path)]
+    seen = torch.from_numpy(BatchEngine("field_03", 1, threads=1, **loaded[0].settings).reset())
+    first, second = (one.policy for one in loaded)
+    theirs, ours = (policy.step(seen, policy.blank(seen))[0] for policy in (first, second))
+    torch.testing.assert_close(ours, gain * theirs, atol=1e-5, rtol=1e-4)
+    assert second.network.log_std.detach().numpy() == pytest.approx(-0.5)
     assert f"--from {source}" in tuned.command
+
+
+def test_a_run_of_a_tier_has_its_settings_and_its_bounds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = {name: search_side_by_side(name, math.inf)[:2] for name in ("validation", "test")}
+    monkeypatch.setattr(run_logger, "search_side_by_side", lambda split, radius: few[split])
+    heard = {"environment": {"comm_radius": math.inf}, "transferred_from": Path("zoo:generalist")}
+    small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
+    asked = TrainConfig(
+        *("mappo", "random_search", "G"), tier=SEARCH, steps=16, hyperparameters=small, **heard
+    )
+    found = train(replace(asked, episodes=2), tmp_path / "run").evaluation["deterministic"]
+    assert found["per_episode"]["bounds"] == [one.makespan_lower_bound for one in few["test"]]
+    assert found["success_rate"] == 1.0
+    own = {"sensing_radius": 50.0, "comm_radius": 70.0, "decoys": 3}
+    with pytest.raises(ConfigError) as caught:
+        prepare(replace(asked, environment=own))
+    named = [problem.partition(":")[0] for problem in caught.value.problems]
+    assert named == [f"environment.{name}" for name in ("sensing_radius", "decoys", "comm_radius")]
 
 
 ALONE = {"sharing": "none"}
