@@ -163,6 +163,17 @@ class RunRecord:
         names = ("env_steps", *BOTH)
         return [{**who, **{name: one[name] for name in names}} for one in self.run.evaluations]
 
+    @property
+    def instances(self) -> list[dict[str, Any]]:
+        """Each frozen field of the tier by mean actions, rows of ``instances.csv``."""
+        who = {name: self.row[name] for name in ("label", "field", "seed")}
+        found = self.run.evaluation["deterministic"]["per_episode"]
+        lists = (found[name] for name in ("bounds", "successes", "steps"))
+        return [
+            {**who, "instance": k, "bound": bound, "makespan": steps if success else None}
+            for k, (bound, success, steps) in enumerate(zip(*lists, strict=True))
+        ]
+
 
 def validate(model: type[Content], content: Any, path: Path, place: str = "") -> Content:
     try:

@@ -78,6 +78,8 @@ def write_comparison(results: Results, place: Place) -> Comparison:
     write_json(out / "comparison.json", comparison.to_json())
     curves = [point for one in results.records for point in one.curve]
     tables = {"table": comparison.rows, "runs": comparison.runs, "curves": curves}
+    if of_tier := [one for one in results.records if one.config.get("tier") is not None]:
+        tables["instances"] = [row for one in of_tier for row in one.instances]
     for name, rows in tables.items():  # of objects: a whole number stays one beside an unknown one
         write_text(out / f"{name}.csv", csv_text(DataFrame(rows, dtype=object)))
     pictures = {}

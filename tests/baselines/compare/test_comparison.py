@@ -13,12 +13,13 @@ from pytest import approx
 from rich.console import Console
 
 from baselines.compare.curves import draw_gaps
-from baselines.compare.records import Results, find_records
+from baselines.compare.records import Results, RunRecord, find_records
 from baselines.compare.report import marl_eval_data
 from baselines.compare.summary import summarise
 from baselines.compare.tables import overall_tables, print_comparison
 from baselines.compare.text_table import TextTable, csv_text
 from baselines.runs.files import RunError, write_json
+from baselines.runs.folder import RunFolder
 from mbn_marl.config import NavigationConfig
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import Field, load_field, load_split
@@ -172,6 +173,22 @@ def test_runs_on_random_fields_are_of_their_tier(tmp_path: Path) -> None:
     runs += [make_run(tmp_path, seed=seed, tier="1-convex", **shapes) for seed in (0, 1)]
     with pytest.raises(ConfigError, match=r"fields: .* of the name 1-convex"):
         Results.of(runs)
+
+
+def test_each_frozen_field_has_a_row_without_a_makespan_if_it_failed(tmp_path: Path) -> None:
+    random = {"field": "random_convex", "algorithm": "mappo", "setting": "G"}
+    run = make_run(tmp_path, tier="1-convex", **random).run
+    found = run.evaluation
+    found["deterministic"]["per_episode"] = {
+        **{"bounds": [10, 20], "successes": [True, False], "steps": [12, 1000]}
+    }
+    write_json(run.path / "evaluation.json", found)
+    rows = RunRecord.read(RunFolder.open(run.path)).instances
+    who = {"label": "mappo", "field": "1-convex", "seed": 0}
+    assert rows == [
+        {**who, "instance": 0, "bound": 10, "makespan": 12},
+        {**who, "instance": 1, "bound": 20, "makespan": None},
+    ]
 
 
 @pytest.mark.parametrize(

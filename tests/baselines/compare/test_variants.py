@@ -56,8 +56,10 @@ def test_variants_in_a_file_have_labels(tmp_path: Path) -> None:
     path.write_text(
         "team: {algorithm: ippo, environment: {reward_sharing: team}}\n"
         "low: {algorithm: ippo, hyperparameters: {entropy: 0.01}}\n"
+        "tuned: {algorithm: mappo, setting: G, from: 'zoo:generalist'}\n"
     )
-    team, low = read_variants(path)
+    team, low, tuned = read_variants(path)
+    assert "--from zoo:generalist" in tuned.training("field_03", 2).command
     run = low.training("field_03", 2, steps=7)
     assert (run.name, run.hyperparameters) == ("low-field_03-seed2", {"entropy": 0.01})
     assert run.command.endswith("--label low --set entropy=0.01")

@@ -271,8 +271,9 @@ def test_a_run_begins_with_the_actor_of_another_one_and_ends_with_its_gain(
 ) -> None:
     small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
     noise = {"log_std_start": -0.5, "log_std_cap": (9.0, 9.0)}
-    still = {**small, **noise, "learning_rate": (1e-9, 1e-9), "memory": memory}
-    begins = {"steps": 16, "episodes": 1, "transferred_from": Path(source)}
+    # The actor keeps still in the first rollouts, of which there are two.
+    still = {**small, **noise, "learning_rate": (0.01, 0.01), "memory": memory}
+    begins = {"steps": 32, "episodes": 1, "transferred_from": Path(source)}
     tuned = train(
         TrainConfig("mappo", "field_03", setting, hyperparameters=still, **begins),
         tmp_path / "tuned",
@@ -284,6 +285,35 @@ def test_a_run_begins_with_the_actor_of_another_one_and_ends_with_its_gain(
     torch.testing.assert_close(ours, gain * theirs, atol=1e-5, rtol=1e-4)
     assert second.network.log_std.detach().numpy() == pytest.approx(-0.5)
     assert f"--from {source}" in tuned.command
+
+
+def test_the_critic_begins_with_the_actors_encoder_and_learns_first() -> None:
+    begins = {"steps": 96, "transferred_from": Path("zoo:generalist")}
+    small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
+    task, found = prepare(TrainConfig("mappo", "field_03", "G", hyperparameters=small, **begins))
+    seen: list[list[torch.Tensor]] = []
+
+    class Watched(Trainer):
+        def _descend(self, *asked: Any) -> dict[str, float]:
+            losses = super()._descend(*asked)
+            networks = self.network.mean.encoder, self.critic.values.encoder
+            seen.append([one.own[0].weight.detach().clone() for one in networks])
+            return losses
+
+    recorder = SimpleNamespace(
+        checkpoint=None,
+        checkpoint_due=False,
+        episodes=SimpleNamespace(add=lambda *values: None),
+        has_more=lambda env_steps, begun: env_steps < 96,
+        **{name: lambda *values: None for name in ("start", "update", "finish")},
+    )
+    watched = Watched(task, found, recorder)  # type: ignore[arg-type]
+    watched.run()
+    actors, critics = zip(*seen, strict=True)
+    first = load_policy("zoo:generalist").policy.network.mean.encoder.own[0].weight
+    assert all(torch.equal(one, first) for one in actors[:5])
+    assert not torch.equal(actors[5], first) and not torch.equal(critics[0], first)
+    assert (critics[0] - first).abs().max() < 2e-3  # after one step of 0.0007
 
 
 def test_a_run_of_a_tier_has_its_settings_and_its_bounds(
