@@ -184,7 +184,7 @@ def test_each_frozen_field_has_a_row_without_a_makespan_if_it_failed(tmp_path: P
     }
     write_json(run.path / "evaluation.json", found)
     rows = RunRecord.read(RunFolder.open(run.path)).instances
-    who = {"label": "mappo", "field": "1-convex", "seed": 0}
+    who = {"label": "mappo-G", "field": "1-convex", "seed": 0}
     assert rows == [
         {**who, "instance": 0, "bound": 10, "makespan": 12},
         {**who, "instance": 1, "bound": 20, "makespan": None},
