@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from mbn_marl.config import KNOWLEDGE, NavigationConfig
 from mbn_marl.field import Field
+from mbn_marl.field.schema import ROI_RADIUS
 
 DEFAULT = NavigationConfig()
 # Settings that change observations, but not the best return; or nothing without a gust.
@@ -11,20 +14,30 @@ VIEW = (
     *("reward_sharing", "observation", "assignment", "one_hot", "sensing_radius", "dtype"),
     *("position_noise", "velocity_noise", "dropout", "gust_time", *KNOWLEDGE),
 )
+DELAY = "action_delay"
+# Units, for positions in float32.
+ROUNDING = 1e-3
 
 
 def optimal_makespan(field: Field, config: NavigationConfig | None = None) -> int | None:
     """Return the least number of steps of a success, ``None`` if it is not proved.
 
     It is proved for the default dynamics, the released rewards and the field's own starts and
-    team. ``config`` is that of the environment; ``None`` is the default one.
+    team. ``config`` is that of the environment; ``None`` is the default one. An ``action_delay``
+    adds its steps, in which the robots rest, if no ROI is in reach of a start.
     """
     config = config or DEFAULT
     comparable = config.model_copy(
-        update={name: NavigationConfig.model_fields[name].default for name in VIEW}
+        update={name: NavigationConfig.model_fields[name].default for name in (*VIEW, DELAY)}
     )
     team = DEFAULT.model_copy(update={"n_robots": len(field.starts)})
-    return field.optimal_makespan if comparable in (DEFAULT, team) else None
+    if field.optimal_makespan is None or comparable not in (DEFAULT, team):
+        return None
+    if config.action_delay:
+        ways = np.linalg.norm(field.rois[:, None] - field.starts, axis=-1)
+        if ways.min() <= ROI_RADIUS + ROUNDING:
+            return None
+    return field.optimal_makespan + config.action_delay
 
 
 def optimal_return(field: Field, config: NavigationConfig | None = None) -> float | None:
@@ -33,9 +46,10 @@ def optimal_return(field: Field, config: NavigationConfig | None = None) -> floa
     T* is :func:`optimal_makespan`. ``r_l``, the cost of the abrupt stop at a wall, has to exceed
     that of all the steps. The formula is that of ``docs/mdp.md`` for a clean success.
     """
-    if (makespan := optimal_makespan(field, config)) is None:
+    config = config or DEFAULT
+    if config.action_delay or (makespan := optimal_makespan(field, config)) is None:
         return None
-    reward = (config or DEFAULT).reward
+    reward = config.reward
     team_charge = len(field.starts) * reward.small * makespan
     if team_charge > reward.large:
         return None

@@ -8,8 +8,9 @@ import pytest
 from mbn_marl import centralized_env, parallel_env
 from mbn_marl.adapters.infos import UNDEFINED
 from mbn_marl.config import make_config
+from mbn_marl.episode import play
 from mbn_marl.field import Field, load_field
-from mbn_marl.optimum import optimal_return
+from mbn_marl.optimum import optimal_makespan, optimal_return
 from mbn_marl.planning import plan
 
 
@@ -21,6 +22,20 @@ def test_environments_say_their_optimal_return() -> None:
         assert optimal_return(field, make_config(other)) is None
     blind = make_config({"position_noise": 1.0, "velocity_noise": 0.1, "dropout": 0.5})
     assert optimal_return(field, blind) == 159_490.0  # what is seen changes no return
+
+
+def test_a_delay_adds_its_steps_to_the_makespan() -> None:
+    square = [(0, 0), (90, 0), (90, 90), (0, 90)]
+    field = Field(square, [(30, 30), (60, 60)], [(50, 20), (30, 70)], name="late")
+    found = plan(field)
+    field = Field(square, field.rois, field.starts, optimal_makespan=found.makespan)
+    late = make_config({"action_delay": 3})
+    episode = play(field, late, np.concatenate([found.actions, np.zeros((3, 2, 2))]))
+    assert episode.outcome == "success" and found.makespan is not None
+    assert len(episode.actions) == optimal_makespan(field, late) == found.makespan + 3
+    assert optimal_return(field, late) is None  # robots that rest pay for known ground
+    assert load_field("field_03").optimal_makespan == 17
+    assert optimal_makespan(load_field("field_03"), late) is None  # two ROIs are in reach
 
 
 def test_no_optimum_is_claimed_where_a_wall_might_pay() -> None:

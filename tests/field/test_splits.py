@@ -76,7 +76,6 @@ def test_searched_fields_with_their_empty_rois_last_are_the_same_fields() -> Non
         assert (one.field.starts == other.field.starts).all()
 
 
-
 def test_passages_have_two_kinds_and_what_the_tier_fixes(tmp_path: Path) -> None:
     write_split(tmp_path, PASSAGES, 5)
     for one in load_split("test", PASSAGES, tmp_path):
