@@ -23,7 +23,7 @@ from mbn_marl.field import FieldSampler, load_fields
 class Variant(BaseModel):
     """A way to train; hyperparameters and environment are what differs from the recorded ones."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     algorithm: str
     # C begins with another run: nothing to compare.
@@ -31,8 +31,8 @@ class Variant(BaseModel):
     label: str | None = None  # in tables; by default the algorithm's name
     hyperparameters: dict[str, Any] = Field(default_factory=dict)
     environment: dict[str, Any] = Field(default_factory=dict)
-    # The run, or entry of the zoo, whose actor it begins with.
-    transferred_from: Path | None = Field(None, alias="from")
+    # The run, or entry of the zoo, whose actor it begins with: --from of `mbn train`.
+    transferred_from: Path | None = None
 
     @property
     def name(self) -> str:

@@ -56,7 +56,7 @@ def test_variants_in_a_file_have_labels(tmp_path: Path) -> None:
     path.write_text(
         "team: {algorithm: ippo, environment: {reward_sharing: team}}\n"
         "low: {algorithm: ippo, hyperparameters: {entropy: 0.01}}\n"
-        "tuned: {algorithm: mappo, setting: G, from: 'zoo:generalist'}\n"
+        "tuned: {algorithm: mappo, setting: G, transferred_from: 'zoo:generalist'}\n"
     )
     team, low, tuned = read_variants(path)
     assert "--from zoo:generalist" in tuned.training("field_03", 2).command
