@@ -19,10 +19,11 @@ from benchmarks.leaderboard import SPLIT
 from mbn_marl.field import load_split, splits
 
 PLACE = re.compile(r"(?m)^<!-- table: (\S+) -->\n(?:\n(?:\|.*\n)+)?")
+CLASSICAL_ROWS = "classical.csv"
 BOARD, SEARCHED, PASSED = "leaderboard", "search", "passages"
 ROW = [
     *("label", "information", "field", "seed", "passed"),
-    *("success_rate", "deterministic_gap", "spl"),
+    *("success_rate", "deterministic_makespan", "deterministic_gap", "spl"),
 ]
 
 
@@ -110,13 +111,17 @@ def _with_ends(price: Interval | None) -> str:
 
 
 def rows_of(study: Path) -> DataFrame:
-    """Read a row for each run; of a comparison without runs, the median run of each field.
+    """Read a row for each run, also of policies that do not learn.
+
+    Of a comparison without runs it is the median run of each field.
 
     160,000 - 30 T - 10,000 H is the return of T steps with H pushes at a wall. A revisit counts as
     four steps there, so gaps of medians are upper estimates.
     """
-    if (path := study / "runs.csv").is_file():
-        return pandas.read_csv(path).reindex(columns=ROW)
+    if (study / "runs.csv").is_file():
+        files = (study / name for name in ("runs.csv", CLASSICAL_ROWS))
+        parts = [pandas.read_csv(path) for path in files if path.is_file()]
+        return pandas.concat(parts, ignore_index=True).reindex(columns=ROW)
     rows = DataFrame(read_json(study / "comparison.json")["rows"])
     returns = rows[["deterministic_median", "optimum"]].astype(float)
     cost, least = (160_000 - returns).to_numpy().T
@@ -125,14 +130,21 @@ def rows_of(study: Path) -> DataFrame:
     return rows.reindex(columns=ROW)
 
 
+def unbounded(rows: DataFrame) -> bool:
+    """Return whether some run passes in a field without a known bound."""
+    return bool((rows.passed & rows.deterministic_gap.isna()).any())
+
+
 def table(study: Path) -> TextTable:
     """Return a row for each variant, by SPL; gaps are of the median run of a field, mean actions.
 
-    What no row knows has no column.
+    Without bounds makespans are in their place. What no row knows has no column.
     """
     rows = rows_of(study)
-    gaps = rows.deterministic_gap.where(rows.passed, np.inf)
-    cells = gaps.groupby([rows.label, rows.field]).median().unstack()
+    steps = unbounded(rows)
+    shown = rows.deterministic_makespan if steps else rows.deterministic_gap
+    cells = shown.where(rows.passed, np.inf).groupby([rows.label, rows.field]).median().unstack()
+    form = "{:.1f}" if steps else "{:.0%}"
     lines = []
     for label, (passed, runs) in counts(study, rows).iterrows():
         low, high = binomtest(passed, runs).proportion_ci(method="wilson")
@@ -145,10 +157,10 @@ def table(study: Path) -> TextTable:
             "runs pass": f"{passed}/{runs}",
             "95 %": f"{low:.0%}..{high:.0%}",
             "success": f"{own.success_rate.mean():.1%}",
-            "gap": f"{solved.mean():.0%}",
-            "worst field": f"{solved.max():.0%}",
+            "makespan" if steps else "gap": form.format(solved.mean()),
+            "worst field": form.format(solved.max()),
             "fields failed": f"{len(known) - len(solved)}",
-            "SPL": f"{own.spl.mean():.3f}",
+            "SPL": "nan" if steps else f"{own.spl.mean():.3f}",
         }
         lines.append(words)
     found = DataFrame(lines).replace({"nan": None, "nan%": None}).dropna(axis="columns", how="all")

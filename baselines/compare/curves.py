@@ -26,6 +26,7 @@ Band = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Pair = tuple[float | None, float | None]  # two returns; ``None`` is missing
 
 _RATIOS = (1.0, 1.05, 1.1, 1.2, 1.3, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
+_STEPS = (10, 20, 30, 40, 50, 70, 100, 200, 300, 500, 1000)
 _RULE: dict[str, Any] = {"color": style.FAINT_INK, "lw": 1.0}  # the look of a marked return
 _PAIR_MARKS: tuple[dict[str, Any], ...] = (
     {"marker": "o", "ls": "none", "color": style.BLUE, "mfc": style.WHITE, "ms": 7.5, "mew": 1.3},
@@ -64,29 +65,35 @@ def draw_learning_curves(
 
 
 @matplotlib.rc_context(style.MATPLOTLIB)
-def strips_figure(groups: Mapping[str, Sequence[float | None]]) -> Figure:
-    """Draw makespan gaps, a column a group, a dot a run, its median a line; ``None`` failed."""
+def strips_figure(groups: Mapping[str, Sequence[float | None]], *, steps: bool = False) -> Figure:
+    """Draw makespan gaps, or makespans in ``steps``, a column a group, a dot a run.
+
+    The median is a line; ``None`` failed.
+    """
     figure = Figure(figsize=(max(4.6, 0.7 * len(groups) + 1.0), 3.4), layout="constrained")
     axes = figure.add_subplot()
-    known = [gap for gaps in groups.values() for gap in gaps if gap is not None]
-    most = max([1.1, *(1.0 + gap for gap in known)])
+    least = 0.0 if steps else 1.0
+    known = [least + value for values in groups.values() for value in values if value is not None]
+    most = max([1.1, *known])
     top, rng = most**1.15, np.random.default_rng(0)
-    for column, gaps in enumerate(groups.values()):
-        places = column + rng.uniform(-0.25, 0.25, len(gaps))
-        ratios = np.array([top if gap is None else 1.0 + gap for gap in gaps])
-        failed = np.array([gap is None for gap in gaps])
-        axes.plot(places[~failed], ratios[~failed], "o", c=style.BLUE, ms=3.5, alpha=0.6)
+    for column, values in enumerate(groups.values()):
+        places = column + rng.uniform(-0.25, 0.25, len(values))
+        heights = np.array([top if value is None else least + value for value in values])
+        failed = np.array([value is None for value in values])
+        axes.plot(places[~failed], heights[~failed], "o", c=style.BLUE, ms=3.5, alpha=0.6)
         if not failed.all():
-            axes.hlines(np.median(ratios[~failed]), column - 0.35, column + 0.35, color=style.INK)
+            axes.hlines(np.median(heights[~failed]), column - 0.35, column + 0.35, color=style.INK)
         if failed.any():
-            axes.plot(places[failed], ratios[failed], "x", c=style.VERMILLION, ms=5, clip_on=False)
-    ticks = {f"{ratio - 1.0:.0%}": ratio for ratio in _RATIOS if ratio <= most}
-    ticks |= {"failed": top} if any(None in gaps for gaps in groups.values()) else {}
-    axes.set(yscale="log", ylim=(min([0.99, *(1.0 + gap for gap in known)]), top))
-    axes.set_yticks([*ticks.values()], [*ticks])
+            axes.plot(places[failed], heights[failed], "x", c=style.VERMILLION, ms=5, clip_on=False)
+    marks = {f"{n}": float(n) for n in _STEPS if min(known, default=1.0) <= n <= most}
+    if not steps:
+        marks = {f"{ratio - 1.0:.0%}": ratio for ratio in _RATIOS if ratio <= most}
+    marks |= {"failed": top} if any(None in values for values in groups.values()) else {}
+    axes.set(yscale="log", ylim=(min([most, *known] if steps else [0.99, *known]), top))
+    axes.set_yticks([*marks.values()], [*marks])
     axes.minorticks_off()
     axes.set_xticks(range(len(groups)), list(groups), rotation=30 if len(groups) > 4 else 0)
-    axes.set_ylabel("makespan over the bound, mean actions")
+    axes.set_ylabel(f"makespan{', steps' if steps else ' over the bound'}, mean actions")
     axes.grid(True, axis="y")
     return figure
 
