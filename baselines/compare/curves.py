@@ -85,11 +85,12 @@ def strips_figure(groups: Mapping[str, Sequence[float | None]], *, steps: bool =
             axes.hlines(np.median(heights[~failed]), column - 0.35, column + 0.35, color=style.INK)
         if failed.any():
             axes.plot(places[failed], heights[failed], "x", c=style.VERMILLION, ms=5, clip_on=False)
-    marks = {f"{n}": float(n) for n in _STEPS if min(known, default=1.0) <= n <= most}
+    marks = {f"{n}": float(n) for n in _STEPS if 0.95 * min(known, default=1.0) <= n <= most}
     if not steps:
         marks = {f"{ratio - 1.0:.0%}": ratio for ratio in _RATIOS if ratio <= most}
     marks |= {"failed": top} if any(None in values for values in groups.values()) else {}
-    axes.set(yscale="log", ylim=(min([most, *known] if steps else [0.99, *known]), top))
+    bottom = 0.95 * min(known, default=1.0) if steps else min([0.99, *known])
+    axes.set(yscale="log", ylim=(bottom, top))
     axes.set_yticks([*marks.values()], [*marks])
     axes.minorticks_off()
     axes.set_xticks(range(len(groups)), list(groups), rotation=30 if len(groups) > 4 else 0)
