@@ -11,8 +11,8 @@ import pytest
 
 from benchmarks import tables
 from benchmarks.__main__ import main
-from benchmarks.strip import COLUMNS, FIELDS, RADII, reach, strip
-from benchmarks.tables import fill, rows_of, searched
+from benchmarks.strip import COLUMNS, FIELDS, RADII, learned, reach, strip
+from benchmarks.tables import fill, rows_of, searched, table
 from mbn_marl import Field
 from mbn_marl.field import Instance, splits
 from tests.support.pages import ROOT
@@ -96,6 +96,28 @@ def test_passages_are_compared_with_bound_and_best_plan(
     (tmp_path / "slow.json").write_text(json.dumps(result))
     (line,) = tables.passages(tmp_path).lines
     assert line == ("slow", "own", "50%", "3.00", "2.00")
+
+
+def test_where_no_bound_is_known_makespans_are_shown(tmp_path: Path) -> None:
+    heading = HEADING.replace("deterministic_gap", "deterministic_makespan,deterministic_gap")
+    (tmp_path / "runs.csv").write_text(f"{heading}fast,a,0,True,20,,\nfast,a,1,True,40,0.5,0.7\n")
+    (tmp_path / "classical.csv").write_text(f"{heading}slow,a,,False,,,\n")
+    fast, slow = table(tmp_path).lines
+    assert [*fast] == ["fast", "2/2", "34%..100%", "30.0", "30.0", "0"]
+    assert [*slow] == ["slow", "0/1", "0%..79%", "-", "-", "1"]
+    (axes,) = strip(dict(list(rows_of(tmp_path).groupby("label")))).axes
+    dots, crosses = axes.lines[0], axes.lines[-1]
+    assert dots.get_ydata().tolist() == [20.0, 40.0]
+    assert crosses.get_marker() == "x" and "steps" in axes.get_ylabel()
+
+
+def test_learned_policies_are_read_from_their_results(tmp_path: Path) -> None:
+    rows = [{"field": "a", "comm_radius": name, "mean": {"gap": 0.5}} for name in ("0", "inf")]
+    result = json.dumps({"tiers": {splits.SEARCH: {"instances": rows}}})
+    for name in ("zoo-mine", "greedy"):
+        (tmp_path / f"{name}.json").write_text(result)
+    found = learned(tmp_path)
+    assert found.to_numpy().tolist() == [["zoo-mine", "a", r, 0.5] for r in (0.0, math.inf)]
 
 
 @pytest.mark.parametrize(
