@@ -13,11 +13,12 @@ def information(settings: Mapping[str, Any], *, centralized: bool = False) -> In
 
     With ``knowledge="own"`` it acts on that, or on the knowledge of its ``team``.
     """
-    # A centralised policy sees the observations of all robots, and counts as seeing all.
+    # A centralised policy sees the observations of all robots, and counts as seeing all, but if
+    # nothing is seen.
     config = make_config(settings)
     if config.assignment:
         return "assignment"
     if config.knowledge == "own":
         return "team" if centralized else "own"
-    near = config.observation in ("local", "lidar_local") or config.dropout == 1.0
-    return "own sight" if near and not centralized else "all"
+    near = config.observation in ("local", "lidar_local") and not centralized
+    return "own sight" if near or config.dropout == 1.0 else "all"
