@@ -16,6 +16,7 @@ from baselines.policies.information import information
         ({"observation": "lidar_local"}, False, "own sight"),
         ({"observation": "lidar_local"}, True, "all"),
         ({"dropout": 1.0}, False, "own sight"),
+        ({"dropout": 1.0}, True, "own sight"),
         ({"observation": "entities", "knowledge": "own"}, False, "own"),
         ({"observation": "entities", "knowledge": "own"}, True, "team"),
         ({"observation": "entities"}, False, "all"),
