@@ -33,7 +33,6 @@ from mbn_marl.render import figures, style
 
 FIELDS = "fields"  # the folder of policies that were not trained on the field
 DELAYED = "delayed"
-FIELD_NAMES = catalogue_names()
 POLICIES = {"hint": "zoo:generalist-hint", "generalist": "zoo:generalist"}  # others by their name
 COLUMNS = {  # of the first figure, by label: the folder
     **{"planner": FIELDS, "replan": FIELDS, "trpo": "aids", "ppo": "aids", "hint": FIELDS},
@@ -82,7 +81,8 @@ class Strip:
 
 def untrained() -> DataFrame:
     """Measure the policies that are not trained on a field."""
-    cases = product((label for label, place in COLUMNS.items() if place == FIELDS), FIELD_NAMES)
+    labels = (label for label, place in COLUMNS.items() if place == FIELDS)
+    cases = product(labels, catalogue_names())
     rows = [measured(label, POLICIES.get(label, label), field) for label, field in cases]
     return DataFrame(rows, columns=ROW)
 

@@ -7,7 +7,7 @@ import itertools
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -169,10 +169,17 @@ class RunRecord:
         who = {name: self.row[name] for name in ("label", "field", "seed")}
         found = self.run.evaluation["deterministic"]["per_episode"]
         lists = (found[name] for name in ("bounds", "successes", "steps"))
+        # The fields in order, and again where episodes differ by chance.
+        names = itertools.cycle(_frozen(self.place))
         return [
-            {**who, "instance": k, "bound": bound, "makespan": steps if success else None}
-            for k, (bound, success, steps) in enumerate(zip(*lists, strict=True))
+            {**who, "instance": name, "bound": bound, "makespan": steps if success else None}
+            for name, bound, success, steps in zip(names, *lists, strict=False)
         ]
+
+
+@cache
+def _frozen(tier: str) -> list[str]:
+    return [*dict.fromkeys(one.field.name for one in load_split("test", tier))]
 
 
 def validate(model: type[Content], content: Any, path: Path, place: str = "") -> Content:
