@@ -56,7 +56,7 @@ class Outcome:
 def train_in_store(job: TrainJob, report: Listener) -> Outcome:
     """Train or resume a run; errors that a repetition would raise again are outcomes."""
     run, folder = job.run, job.store / job.run.name
-    if run.transferred_from is not None:
+    if run.setting == "C" and run.transferred_from is not None:
         run = replace(run, transferred_from=job.store / run.transferred_from.name)
     try:
         if folder.is_dir():
@@ -130,9 +130,9 @@ def runs_left(runs: Iterable[TrainConfig], store: Path) -> list[TrainConfig]:
             continue
         recorded = folder.config
         asked: dict[str, Any] = json.loads(json.dumps(resolve(*prepare(without_source(run)))))
-        # The folder of the run's source may have moved.
-        same = {"transferred_from": recorded.get("transferred_from"), "setting": run.setting}
-        found = differences(recorded, {**asked, **same})
+        if run.setting == "C":  # the folder of the run's source may have moved
+            asked |= {"transferred_from": recorded.get("transferred_from"), "setting": "C"}
+        found = differences(recorded, asked)
         problems += [f"{run.name}: {problem}" for problem in found]
     if problems:
         raise ConfigError(f"{store}: finished runs are of another grid", problems)

@@ -101,8 +101,8 @@ def runs_of(spec: GridSpec) -> list[TrainConfig]:
 
 
 def without_source(run: TrainConfig) -> TrainConfig:
-    """Return the same training without its source, which need not exist yet."""
-    return run if run.transferred_from is None else replace(run, setting="A", transferred_from=None)
+    """Return a run under C as one under A: its source need not exist yet."""
+    return replace(run, setting="A", transferred_from=None) if run.setting == "C" else run
 
 
 def _problems(spec: GridSpec) -> list[str]:

@@ -15,8 +15,9 @@ from baselines.runs.files import RunError, alone
 from baselines.runs.folder import RunFolder
 from baselines.sweep import run as sweep
 from baselines.sweep.processes import Failure, LocalEngine
-from baselines.sweep.run import TrainJob, train_in_store
+from baselines.sweep.run import TrainJob, runs_left, train_in_store, train_runs
 from baselines.sweep.spec import runs_of
+from baselines.training.config import TrainConfig
 from mbn_marl.errors import ConfigError
 from tests.support.dying import die_once
 from tests.support.grids import BUDGET, TINY, run_here, spec_of
@@ -67,6 +68,16 @@ def test_a_run_that_another_process_trains_is_left_to_it(
     assert "another mbn grid" in str(outcomes[held.name].error)
     source = replace(runs_of(spec)[0], transferred_from=held, setting="C")
     assert train_in_store(TrainJob(source, tmp_path), print).state == "failed"
+
+
+def test_runs_that_begin_with_a_policy_of_the_zoo_are_resumed(tmp_path: Path) -> None:
+    smallest = {"num_worlds": 8, "rollout_steps": 2, "minibatches": 1, "memory": 2}
+    how: dict[str, Any] = {"steps": 32, "episodes": 1, "transferred_from": Path("zoo:generalist")}
+    run = TrainConfig("mappo", "field_03", "G", hyperparameters=smallest, **how)
+    (outcome,) = train_runs([run], tmp_path, LocalEngine(1)).values()
+    assert outcome.state == "done" and runs_left([run], tmp_path) == []
+    with pytest.raises(ConfigError, match="transferred_from: "):
+        runs_left([replace(run, transferred_from=None)], tmp_path)
 
 
 def test_a_process_that_dies_or_fails_fails_its_job_alone(tmp_path: Path) -> None:
