@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,18 +22,28 @@ from baselines.compare.curves import strips_figure
 from baselines.compare.text_table import csv_text
 from baselines.evaluation.evaluate import evaluate
 from baselines.evaluation.intervals import mean_interval
-from baselines.policies.classical import CLASSICAL
-from baselines.policies.information import information
 from baselines.policies.load import Source
-from baselines.runs.files import read_json, write_text
+from baselines.policies.shielded import Shielded, information_of
+from baselines.runs.files import write_text
 from benchmarks.leaderboard import SPLIT
 from benchmarks.studies.learning import Study
-from benchmarks.tables import CLASSICAL_ROWS, ROW, SEARCHED, rows_of, unbounded
+from benchmarks.tables import (
+    CLASSICAL_ROWS,
+    PRICED,
+    RADII_ROWS,
+    ROW,
+    SEARCH_ROW,
+    SEARCHED,
+    by_radius,
+    rows_of,
+    unbounded,
+)
 from mbn_marl.field import catalogue_names, splits
 from mbn_marl.render import figures, style
 
 FIELDS = "fields"  # the folder of policies that were not trained on the field
-DELAYED = "delayed"
+# By study: policies that do not learn, and episodes of each in every environment of the study.
+SCRIPTED = {"delayed": (("greedy", "replan"), 1), "known": (("greedy-local", "planner"), 100)}
 POLICIES = {"hint": "zoo:generalist-hint", "generalist": "zoo:generalist"}  # others by their name
 COLUMNS = {  # of the first figure, by label: the folder
     **{"planner": FIELDS, "replan": FIELDS, "trpo": "aids", "ppo": "aids", "hint": FIELDS},
@@ -40,7 +51,20 @@ COLUMNS = {  # of the first figure, by label: the folder
     "greedy": FIELDS,
 }
 RADII = (0.0, 50.0, 100.0, 150.0, 200.0, 300.0, math.inf)
-SEARCHERS = {"greedy-local": RADII, "greedy": (math.inf,)}  # greedy sees the state anyway
+UNDRAWN = ("blind", "open-loop", "replan")
+THREE = tuple(splits.RADII.values())
+SHIELD = "-shield"
+# By folder: the tier, and radii of policies.
+SEARCHERS: Mapping[str, tuple[str, Mapping[str, Sequence[float]]]] = {
+    SEARCHED: (
+        splits.SEARCH,
+        {"greedy-local": RADII, "greedy": THREE, f"generalist{SHIELD}": THREE},
+    ),
+    PRICED: (
+        "1-convex",
+        {"greedy-local": RADII, "generalist": RADII, f"generalist{SHIELD}": THREE},
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -51,21 +75,23 @@ class Strip:
     """
 
     folder: Path = Path("docs/results")
-    """With STUDY/runs.csv or comparison.json; fields/runs.csv, search/radii.csv and
-    delayed/classical.csv are measured if they are missing in their folders."""
+    """With STUDY/runs.csv; fields/runs.csv, classical.csv in delayed and known, and radii.csv in
+    search and price are measured if they are missing in their folders."""
 
     def run(self, command: str) -> bool:
-        radii = self.folder / SEARCHED / "radii.csv"
-        places = {self.folder / FIELDS / "runs.csv": untrained, radii: searched}
-        places[self.folder / DELAYED / CLASSICAL_ROWS] = late
+        places = {self.folder / FIELDS / "runs.csv": untrained}
+        for name, case in SCRIPTED.items():
+            places[self.folder / name / CLASSICAL_ROWS] = partial(scripted, name, *case)
+        for name, task in SEARCHERS.items():
+            places[self.folder / name / RADII_ROWS] = partial(searched, *task)
         for path, measure in places.items():
             if path.parent.is_dir() and not path.is_file():
                 write_text(path, csv_text(measure(), "%.4f"))
-        reached = pandas.concat([pandas.read_csv(radii), learned(radii.parent)])
-        figures.save(reach(reached), radii.with_suffix(".png"))
-        sources = (*self.folder.glob("*/runs.csv"), *self.folder.glob("*/comparison.json"))
-        names = {one.parent.name for one in sources}
-        found = {name: rows_of(self.folder / name) for name in sorted(names)}
+        for path in self.folder.glob(f"*/{RADII_ROWS}"):
+            rows = by_radius(path.parent).query("policy not in @UNDRAWN")
+            figures.save(reach(rows), path.with_suffix(".png"))
+        folders = sorted(path.parent for path in self.folder.glob("*/runs.csv"))
+        found = {folder.name: rows_of(folder) for folder in folders}
         shown = {label: found[name].query("label == @label") for label, name in COLUMNS.items()}
         together = pandas.concat(shown.values())
         write_text(self.folder / "strip.csv", csv_text(together, "%.4f"))
@@ -75,7 +101,7 @@ class Strip:
                 groups = dict(list(rows.groupby("label", sort=False)))
                 file = "makespans.png" if unbounded(rows) else "gaps.png"
                 figures.save(strip(groups), self.folder / name / file)
-        print(f"written to {self.folder}: strip.csv, strip.png, a figure a study, search/radii.png")
+        print(f"written to {self.folder}: strip.csv, strip.png, a figure for each study")
         return True
 
 
@@ -87,20 +113,27 @@ def untrained() -> DataFrame:
     return DataFrame(rows, columns=ROW)
 
 
-def late() -> DataFrame:
-    """Measure policies that do not learn with the delays of the study ``delayed``."""
-    study = Study(study=DELAYED).config()
-    delays = [one.environment["action_delay"] for one in study.variants]
-    cases = product(("greedy", "replan"), delays, study.fields)
-    rows = [measured(f"{name}-{d}", name, field, action_delay=d) for name, d, field in cases]
+def scripted(name: str, policies: Sequence[str], episodes: int) -> DataFrame:
+    """Measure policies that do not learn, in the fields and environments of a study."""
+    study = Study(study=name).config()
+    variants = {str(one.environment): one for one in reversed(study.variants)}  # the first of each
+    rows = []
+    for policy, one, field in product(policies, reversed(variants.values()), study.fields):
+        settings = {key: some for key, some in one.environment.items() if key != "observation"}
+        label = f"{policy}-{one.name.removeprefix('mappo-')}"
+        rows.append(measured(label, policy, field, episodes, **settings))
     return DataFrame(rows, columns=ROW)
 
 
-def measured(label: str, policy: str, field: str, **settings: Any) -> tuple[Any, ...]:
-    """Return a row of one episode by mean actions."""
+def measured(
+    label: str, policy: str, field: str, episodes: int = 1, **settings: Any
+) -> tuple[Any, ...]:
+    """Return a row of episodes by mean actions."""
     loaded = load_policy(policy, field, **settings)
-    found = evaluate(loaded, field, loaded.settings, episodes=1, deterministic=True).summary()
-    sees = "state" if policy in CLASSICAL else information(loaded.settings)
+    found = evaluate(
+        loaded, field, loaded.settings, episodes=episodes, deterministic=True
+    ).summary()
+    sees = information_of(loaded.policy, loaded.settings, Source(policy).run)
     won, numbers = found["success_rate"], (found[name] for name in ("makespan", "gap", "spl"))
     return (label, sees, Path(field).stem, "", won == 1.0, won, *numbers)
 
@@ -113,26 +146,21 @@ def strip(groups: Mapping[str, DataFrame]) -> Figure:
     return strips_figure(known, steps=steps)
 
 
-def searched() -> DataFrame:
-    """Measure each field of 6-search at many radii, one episode each; a failure has no gap."""
+def searched(tier: str, policies: Mapping[str, Sequence[float]]) -> DataFrame:
+    """Measure each field of a tier at many radii, one episode each; a failure has no gap."""
     rows = []
-    frozen = load_tiers(SPLIT, [splits.SEARCH])[splits.SEARCH][:: len(splits.RADII)]
-    for (label, radii), one in product(SEARCHERS.items(), frozen):
+    frozen = {one.field.name: one for one in load_tiers(SPLIT, [tier])[tier]}
+    for (label, radii), (name, one) in product(policies.items(), frozen.items()):
+        bare = label.removesuffix(SHIELD)
+        source = Source(POLICIES.get(bare, bare))
         for radius in radii:
-            policy = Source(label).make(one.field, **{**one.settings, "comm_radius": radius})
-            done = evaluate(policy, [one], policy.settings, episodes=1, deterministic=True)
-            rows.append((label, one.field.name, radius, done.summary()["gap"]))
-    return DataFrame(rows, columns=["policy", "field", "comm_radius", "gap"])
-
-
-def learned(folder: Path) -> DataFrame:
-    """Read the results of the zoo in 6-search, as rows of :func:`searched`."""
-    rows = [
-        (path.stem, one["field"], splits.RADII[one["comm_radius"]], one["mean"]["gap"])
-        for path in sorted(folder.glob("zoo-*.json"))
-        for one in read_json(path)["tiers"][splits.SEARCH]["instances"]
-    ]
-    return DataFrame(rows, columns=["policy", "field", "comm_radius", "gap"])
+            own = {**one.settings, "knowledge": "own", "comm_radius": radius}
+            loaded = source.make(one.field, **own)
+            sees = information_of(loaded.policy, loaded.settings, source.run)
+            policy = loaded.policy if bare == label else Shielded(loaded.policy)
+            done = evaluate(policy, [one], loaded.settings, episodes=1, deterministic=True)
+            rows.append((label, sees, name, radius, done.summary()["gap"]))
+    return DataFrame(rows, columns=SEARCH_ROW)
 
 
 @matplotlib.rc_context(style.MATPLOTLIB)
@@ -141,10 +169,11 @@ def reach(rows: DataFrame) -> Figure:
     figure = Figure(figsize=(4.6, 3.0), layout="constrained")
     axes = figure.add_subplot()
     for look, (label, own) in enumerate(rows.dropna().groupby("policy")):
-        found = own.groupby("comm_radius").gap.apply(lambda gaps: mean_interval([*(1.0 + gaps)]))
+        of_fields = 1.0 + own.groupby(["comm_radius", "field"]).gap.mean()  # over seeds
+        found = of_fields.groupby("comm_radius").apply(lambda some: mean_interval([*some]))
         places = [RADII.index(radius) for radius in found.index]
         means, *ends = np.array([*found], float).T
-        if len(found) == 1:
+        if own.information.iloc[0] == "state":  # the same at every radius
             axes.axhline(means[0], ls="--", color=style.FAINT_INK, label=f"{label}, which sees all")
             continue
         colour, dash, marker = style.series(look)

@@ -11,16 +11,18 @@ import pandas
 from pandas import DataFrame
 from scipy.stats import binomtest
 
-from baselines.compare.benchmark import PRICES, prices
+from baselines.compare.benchmark import PRICES
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.intervals import RETURN_THRESHOLD, Interval, mean_interval
+from baselines.evaluation.intervals import Interval, mean_interval
 from baselines.runs.files import read_json, read_text, write_text
 from benchmarks.leaderboard import SPLIT
 from mbn_marl.field import load_split, splits
 
 PLACE = re.compile(r"(?m)^<!-- table: (\S+) -->\n(?:\n(?:\|.*\n)+)?")
 CLASSICAL_ROWS = "classical.csv"
-BOARD, SEARCHED, PASSED = "leaderboard", "search", "passages"
+BOARD, SEARCHED, PRICED, PASSED = "leaderboard", "search", "price", "passages"
+RADII_ROWS = "radii.csv"
+SEARCH_ROW = ["policy", "information", "field", "comm_radius", "gap"]
 ROW = [
     *("label", "information", "field", "seed", "passed"),
     *("success_rate", "deterministic_makespan", "deterministic_gap", "spl"),
@@ -32,7 +34,7 @@ class Tables:
     """Write below each `<!-- table: STUDY -->` the table of that study."""
 
     folder: Path = Path("docs/results")
-    """With the pages, STUDY/runs.csv or comparison.json, and results of `mbn benchmark`."""
+    """With the pages, STUDY/runs.csv, and results of `mbn benchmark`."""
 
     def run(self, command: str) -> bool:
         for page in sorted(self.folder.glob("*.md")):
@@ -47,7 +49,7 @@ def fill(page: Path) -> str:
         folder = page.parent / place[1]
         if not folder.is_dir():  # not run yet
             return place[0]
-        made = {BOARD: weather, SEARCHED: searched, PASSED: passages}
+        made = {BOARD: weather, SEARCHED: searched, PRICED: searched, PASSED: passages}
         text = made.get(folder.name, table)(folder)
         return f"<!-- table: {place[1]} -->\n\n{text.markdown().strip()}\n"
 
@@ -71,19 +73,43 @@ def weather(folder: Path) -> TextTable:
 
 
 def searched(folder: Path) -> TextTable:
-    """Return success at each radius, and the prices, of each policy by mean actions."""
+    """Return success at each radius, and the prices paired by field, by mean actions."""
     lines = []
-    for path in folder.glob("*.json"):
-        instances = read_json(path)["tiers"][splits.SEARCH]["instances"]
-        rows = DataFrame([{**row, **row["mean"]} for row in instances])
-        means = rows.groupby("comm_radius").success_rate.mean()
-        found = prices(instances)
-        words = [_with_ends(found.get(name)) for name in PRICES]
-        shares = " / ".join(f"{means[name]:.0%}" for name in splits.RADII)
-        sees = ", ".join(rows.information.unique())
-        lines.append((-means.sum(), words[0], path.stem, sees, shares, *words))
+    for (policy, sees), own in by_radius(folder).groupby(["policy", "information"]):
+        success = own.gap.notna().groupby(own.comm_radius).mean().reindex(splits.RADII.values())
+        shares = " / ".join("-" if np.isnan(share) else f"{share:.0%}" for share in success)
+        ratios = 1.0 + own.pivot_table("gap", "field", "comm_radius")
+        never, near, all_heard = (ratios.get(r, np.nan) for r in splits.RADII.values())
+        found = DataFrame([all_heard, near / all_heard, never / all_heard], columns=ratios.index)
+        words = [
+            _with_ends(mean_interval([*one]) if len(one := row.dropna()) else None)
+            for _, row in found.iterrows()
+        ]
+        lines.append((-success.sum(), words[0], policy, sees, shares, *words))
     headings = ("policy", "information", f"success at {' / '.join(splits.RADII)}", *PRICES)
     return TextTable("", headings, [line[2:] for line in sorted(lines)], words=2)
+
+
+def by_radius(folder: Path) -> DataFrame:
+    """Read the makespan over the bound, less one, by policy, field and communication radius.
+
+    Of policies measured at many radii, of results of the benchmark, and of runs, whose labels are
+    POLICY-RADIUS and whose fields have a row for each seed. A failure has no gap.
+    """
+    found = [pandas.read_csv(path) for path in folder.glob(RADII_ROWS)]
+    known = {policy for rows in found for policy in rows.policy}
+    for path in sorted(folder.glob("*.json")):
+        if path.stem not in known:
+            rows = DataFrame(read_json(path)["tiers"][splits.SEARCH]["instances"])
+            gap, radius = [one["gap"] for one in rows["mean"]], rows.comm_radius.map(splits.RADII)
+            found.append(rows.assign(policy=path.stem, comm_radius=radius, gap=gap))
+    if (path := folder / "instances.csv").is_file():
+        rows = pandas.read_csv(path)
+        policy, radius = rows.label.str.rsplit("-", n=1, expand=True).to_numpy().T
+        gap = rows.makespan / rows.bound - 1.0
+        own = {"policy": policy, "information": "own", "field": rows.instance, "gap": gap}
+        found.append(DataFrame({**own, "comm_radius": radius.astype(float)}))
+    return pandas.concat(found, ignore_index=True)[SEARCH_ROW]
 
 
 def passages(folder: Path) -> TextTable:
@@ -111,23 +137,10 @@ def _with_ends(price: Interval | None) -> str:
 
 
 def rows_of(study: Path) -> DataFrame:
-    """Read a row for each run, also of policies that do not learn.
-
-    Of a comparison without runs it is the median run of each field.
-
-    160,000 - 30 T - 10,000 H is the return of T steps with H pushes at a wall. A revisit counts as
-    four steps there, so gaps of medians are upper estimates.
-    """
-    if (study / "runs.csv").is_file():
-        files = (study / name for name in ("runs.csv", CLASSICAL_ROWS))
-        parts = [pandas.read_csv(path) for path in files if path.is_file()]
-        return pandas.concat(parts, ignore_index=True).reindex(columns=ROW)
-    rows = DataFrame(read_json(study / "comparison.json")["rows"])
-    returns = rows[["deterministic_median", "optimum"]].astype(float)
-    cost, least = (160_000 - returns).to_numpy().T
-    gap, passed = (cost - cost % 30 * 1_000) / least - 1, cost <= 160_000 - RETURN_THRESHOLD
-    rows = rows.assign(seed="median", passed=passed, deterministic_gap=gap)
-    return rows.reindex(columns=ROW)
+    """Read a row for each run, also of policies that do not learn."""
+    files = (study / name for name in ("runs.csv", CLASSICAL_ROWS))
+    parts = [pandas.read_csv(path) for path in files if path.is_file()]
+    return pandas.concat(parts, ignore_index=True).reindex(columns=ROW)
 
 
 def unbounded(rows: DataFrame) -> bool:
@@ -146,11 +159,11 @@ def table(study: Path) -> TextTable:
     cells = shown.where(rows.passed, np.inf).groupby([rows.label, rows.field]).median().unstack()
     form = "{:.1f}" if steps else "{:.0%}"
     lines = []
-    for label, (passed, runs) in counts(study, rows).iterrows():
+    for label, own in rows.groupby("label", sort=False):
+        passed, runs = own.passed.sum(), len(own)
         low, high = binomtest(passed, runs).proportion_ci(method="wilson")
         known = cells.loc[label].dropna()
         solved = known[np.isfinite(known)]
-        own = rows[rows.label == label]
         words = {
             "variant": label,
             "sees": own.information.iloc[0],
@@ -168,11 +181,3 @@ def table(study: Path) -> TextTable:
         found = found.sort_values("SPL", ascending=False, kind="stable")
     cells_of = found.fillna("-").astype(str).to_numpy().tolist()
     return TextTable("", tuple(found), cells_of, words=1 + ("sees" in found))
-
-
-def counts(study: Path, rows: DataFrame) -> DataFrame:
-    """Return how many runs of each label pass, and how many there are."""
-    if (study / "runs.csv").is_file():
-        return rows.groupby("label", sort=False).passed.agg(["sum", "size"])
-    cells = DataFrame(read_json(study / "comparison.json")["rows"])
-    return cells.groupby("label", sort=False)[["passed", "seeds"]].sum()

@@ -11,14 +11,15 @@ import pytest
 
 from benchmarks import tables
 from benchmarks.__main__ import main
-from benchmarks.strip import COLUMNS, FIELDS, RADII, learned, reach, strip
-from benchmarks.tables import fill, rows_of, searched, table
+from benchmarks.strip import COLUMNS, FIELDS, RADII, reach, strip
+from benchmarks.tables import by_radius, fill, rows_of, searched, table
 from mbn_marl import Field
 from mbn_marl.field import Instance, splits
 from tests.support.pages import ROOT
 from tests.support.planning_cases import SQUARE
 
 HEADING = "label,field,seed,passed,deterministic_gap,spl\n"
+SEARCH_HEADING = "policy,information,field,comm_radius,gap\n"
 RUNS = "".join(
     f"mappo,field_01,{run}\n" for run in ("200,True,0.1,0.9", "201,False,,0", "202,True,0.3,0.75")
 )
@@ -28,13 +29,12 @@ RUNS = "".join(
 def results(tmp_path: Path) -> Path:
     for study in ("forms", "aids", FIELDS):
         (tmp_path / study).mkdir()
-        (tmp_path / study / "comparison.json").write_text('{"rows": []}')
         own = [name for name, place in COLUMNS.items() if place == study and name != "mappo"]
         lines = "".join(f"{label},field_01,,True,0.5,0.5\n" for label in own)
         (tmp_path / study / "runs.csv").write_text(HEADING + lines)
     (tmp_path / "search").mkdir()
-    gaps = "".join(f"greedy-local,a,{radius},{1 / (1 + radius)}\n" for radius in (0.0, math.inf))
-    (tmp_path / "search" / "radii.csv").write_text(f"policy,field,comm_radius,gap\n{gaps}")
+    gaps = "".join(f"script,own,a,{radius},{1 / (1 + radius)}\n" for radius in (0.0, math.inf))
+    (tmp_path / "search" / "radii.csv").write_text(SEARCH_HEADING + gaps)
     with (tmp_path / "forms" / "runs.csv").open("a") as file:
         file.write(RUNS)
     return tmp_path
@@ -64,21 +64,6 @@ def test_table_is_written_below_its_mark_once(results: Path) -> None:
         assert lines[2] == "| mappo | 2/3 | 21%..94% | 30% | 30% | 0 | 0.550 |", "the best SPL"
         assert len(lines) == 5
         assert text.endswith("\n\nb\n\n<!-- table: later -->\n\nc\n")
-
-
-def test_prices_and_success_of_a_policy_that_knows_its_own(tmp_path: Path) -> None:
-    rows = [
-        {
-            **{"field": field, "comm_radius": radius, "information": "own"},
-            **{"makespan_lower_bound": 10, "mean": {"makespan": steps, "success_rate": 1.0}},
-        }
-        for field, all_steps in (("a", (60, 30, 20)), ("b", (40, 20, 20)))
-        for radius, steps in zip(("0", "100", "inf"), all_steps, strict=True)
-    ]
-    rows[0]["mean"] = {"makespan": None, "success_rate": 0.0}
-    (tmp_path / "own.json").write_text(json.dumps({"tiers": {"6-search": {"instances": rows}}}))
-    (line,) = searched(tmp_path).lines
-    assert line == ("own", "own", "50% / 100% / 100%", "2.00", "1.25 (1.00..1.50)", "2.00")
 
 
 def test_passages_are_compared_with_bound_and_best_plan(
@@ -111,26 +96,36 @@ def test_where_no_bound_is_known_makespans_are_shown(tmp_path: Path) -> None:
     assert crosses.get_marker() == "x" and "steps" in axes.get_ylabel()
 
 
-def test_learned_policies_are_read_from_their_results(tmp_path: Path) -> None:
-    rows = [{"field": "a", "comm_radius": name, "mean": {"gap": 0.5}} for name in ("0", "inf")]
+def test_policies_are_compared_by_radius(tmp_path: Path) -> None:
+    measured = "script,own,a,0,1.0\nscript,own,a,inf,0.0\nscript,own,b,0,\n"
+    (tmp_path / "radii.csv").write_text(SEARCH_HEADING + measured)
+    rows = [
+        {"field": field, "comm_radius": name, "information": "state", "mean": {"gap": gap}}
+        for field, gaps in (("a", (2.0, 0.5, 0.0)), ("b", (1.0, 1.0, 1.0)))
+        for name, gap in zip(("0", "100", "inf"), gaps, strict=True)
+    ]
     result = json.dumps({"tiers": {splits.SEARCH: {"instances": rows}}})
-    for name in ("zoo-mine", "greedy"):
+    for name in ("mine", "script"):
         (tmp_path / f"{name}.json").write_text(result)
-    found = learned(tmp_path)
-    assert found.to_numpy().tolist() == [["zoo-mine", "a", r, 0.5] for r in (0.0, math.inf)]
-
-
-@pytest.mark.parametrize(
-    ("returned", "gap"),
-    [(158_800, 0.0), (158_710, 3 / 40), (148_590, 7 / 40), (10_000, None)],
-    ids=["optimum", "3 steps more", "a push at a wall", "failure"],
-)
-def test_gap_of_a_median_return(returned: int, gap: float | None, tmp_path: Path) -> None:
-    row = {"label": "a", "field": "field_01", "deterministic_median": returned, "optimum": 158_800}
-    (tmp_path / "comparison.json").write_text(json.dumps({"rows": [row]}))
-    (found,) = rows_of(tmp_path).itertuples()
-    assert found.passed == (gap is not None)
-    assert gap is None or found.deterministic_gap == pytest.approx(gap)
+    (tmp_path / "instances.csv").write_text(
+        "label,field,seed,instance,bound,makespan\n"
+        "mappo-0,t,0,a,10,30\nmappo-0,t,1,a,10,50\nmappo-inf,t,0,a,10,20\nmappo-inf,t,0,b,10,\n"
+    )
+    assert searched(tmp_path).lines == [
+        (
+            "mine",
+            "state",
+            "100% / 100% / 100%",
+            "1.50 (1.00..2.00)",
+            "1.25 (1.00..1.50)",
+            "2.00 (1.00..3.00)",
+        ),
+        ("script", "own", "50% / - / 100%", "1.00", "-", "2.00"),
+        ("mappo", "own", "100% / - / 50%", "2.00", "-", "2.00"),
+    ]
+    (axes,) = reach(by_radius(tmp_path)).axes
+    assert axes.lines[0].get_xydata().tolist() == [[0.0, 4.0], [len(RADII) - 1, 2.0]]
+    assert [*axes.lines[1].get_ydata()] == [2.5, 2.5], "one line for all radii"
 
 
 def test_tables_of_the_pages_are_of_their_data() -> None:
