@@ -90,8 +90,8 @@ class Strip:
         for path in self.folder.glob(f"*/{RADII_ROWS}"):
             rows = by_radius(path.parent).query("policy not in @UNDRAWN")
             figures.save(reach(rows), path.with_suffix(".png"))
-        folders = sorted(path.parent for path in self.folder.glob("*/runs.csv"))
-        found = {folder.name: rows_of(folder) for folder in folders}
+        folders = {path.parent.name: path.parent for path in self.folder.glob("*/runs.csv")}
+        found = {name: rows_of(folders[name]) for name in sorted(folders.keys() - SEARCHERS)}
         shown = {label: found[name].query("label == @label") for label, name in COLUMNS.items()}
         together = pandas.concat(shown.values())
         write_text(self.folder / "strip.csv", csv_text(together, "%.4f"))

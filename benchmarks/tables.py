@@ -78,13 +78,11 @@ def searched(folder: Path) -> TextTable:
     for (policy, sees), own in by_radius(folder).groupby(["policy", "information"]):
         success = own.gap.notna().groupby(own.comm_radius).mean().reindex(splits.RADII.values())
         shares = " / ".join("-" if np.isnan(share) else f"{share:.0%}" for share in success)
-        ratios = 1.0 + own.pivot_table("gap", "field", "comm_radius")
-        never, near, all_heard = (ratios.get(r, np.nan) for r in splits.RADII.values())
-        found = DataFrame([all_heard, near / all_heard, never / all_heard], columns=ratios.index)
-        words = [
-            _with_ends(mean_interval([*one]) if len(one := row.dropna()) else None)
-            for _, row in found.iterrows()
-        ]
+        gaps = own.pivot_table("gap", "field", "comm_radius").reindex(columns=success.index)
+        never, near, all_heard = (1.0 + gaps).to_numpy().T
+        found = (all_heard, near / all_heard, never / all_heard)  # as PRICES has them
+        known = [ratios[~np.isnan(ratios)] for ratios in found]
+        words = [_with_ends(mean_interval([*some]) if len(some) else None) for some in known]
         lines.append((-success.sum(), words[0], policy, sees, shares, *words))
     headings = ("policy", "information", f"success at {' / '.join(splits.RADII)}", *PRICES)
     return TextTable("", headings, [line[2:] for line in sorted(lines)], words=2)
