@@ -67,9 +67,10 @@ def weather(folder: Path) -> TextTable:
             cells = [means.loc[name] for name in splits.CONDITIONS]
             words = [f"{cell.makespan:.1f} ({cell.success_rate:.0%})" for cell in cells]
             words = [word.replace("nan", "-") for word in words]  # no success
-            lines.append((rows.makespan.mean(), path.stem, *words))
-    ordered = [line[1:] for line in sorted(lines)]
-    return TextTable("", ("policy", *splits.CONDITIONS), ordered)
+            sees = instances[0]["information"]
+            lines.append((rows.makespan.mean(), path.stem, sees, *words))
+    headings = ("policy", "information", *splits.CONDITIONS)
+    return TextTable("", headings, [line[1:] for line in sorted(lines)], words=2)
 
 
 def searched(folder: Path) -> TextTable:
