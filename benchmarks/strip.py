@@ -16,7 +16,6 @@ import pandas
 from matplotlib.figure import Figure
 from pandas import DataFrame
 
-from baselines import load_policy
 from baselines.compare.benchmark import load_tiers
 from baselines.compare.curves import strips_figure
 from baselines.compare.text_table import csv_text
@@ -129,11 +128,10 @@ def measured(
     label: str, policy: str, field: str, episodes: int = 1, **settings: Any
 ) -> tuple[Any, ...]:
     """Return a row of episodes by mean actions."""
-    loaded = load_policy(policy, field, **settings)
-    found = evaluate(
-        loaded, field, loaded.settings, episodes=episodes, deterministic=True
-    ).summary()
-    sees = information_of(loaded.policy, loaded.settings, Source(policy).run)
+    source = Source(policy)
+    loaded = source.make(field, **settings)
+    done = evaluate(loaded, field, loaded.settings, episodes=episodes, deterministic=True)
+    sees, found = information_of(loaded.policy, loaded.settings, source.run), done.summary()
     won, numbers = found["success_rate"], (found[name] for name in ("makespan", "gap", "spl"))
     return (label, sees, Path(field).stem, "", won == 1.0, won, *numbers)
 

@@ -206,6 +206,7 @@ def test_of_two_runs_of_a_cell_the_finished_one_is_taken(tmp_path: Path) -> None
     [
         ("", "RUN: "),
         ("runs", "kind: "),
+        ("--force --comparison runs ./out", "would replace a RUN"),
         ("--paper runs --study empty", "empty"),
         ("--paper runs --notes latin.md", "latin.md"),
         ("--paper runs copy", "copy"),
