@@ -203,8 +203,8 @@ def ranking(trainings: Trainings) -> TextTable:
         lines.append((setting, *(word or MISSING for word in words)))
     caption = (
         "Algorithms by their mean, best first; 'here' by moving means over the fields that all of "
-        "them have. Kendall's tau is 1 for the same order and -1 for the reverse; p is its "
-        "probability by chance."
+        "them have. Algorithms with less than half of the fields do not count. Kendall's tau is 1 "
+        "for the same order and -1 for the reverse; p is its probability by chance."
     )
     headings = ("setting", "paper", "here", "Kendall's tau", "p", "fields here")
     return TextTable(caption, headings, lines, words=3)

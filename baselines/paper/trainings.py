@@ -59,8 +59,13 @@ class Trainings:
         return _known_first(published.FIELDS, self.runs.field)
 
     def alike(self) -> Trainings:
-        """Return the runs on the fields that all algorithms of a setting have runs on."""
+        """Return the runs on the fields that all algorithms of a setting have runs on.
+
+        Algorithms with less than half as many fields as another one do not count.
+        """
         begun = self.runs.merge(self.rows[RUN].drop_duplicates())  # others have no numbers yet
+        counts = begun.groupby(CELL[:2]).field.transform("nunique")
+        begun = begun[2 * counts >= counts.groupby(begun.setting).transform("max")]
         here, there = (
             begun.groupby(names).algorithm.transform("nunique")
             for names in (["setting", "field"], ["setting"])

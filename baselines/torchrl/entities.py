@@ -381,11 +381,15 @@ class SetNetwork(nn.Module):
 class SetActor(SetNetwork):
     def __init__(self, tokens: Tokens, widths: tuple[int, ...], **how: Any) -> None:
         super().__init__(tokens, widths, **how)
-        self.mix = _layers(self.width, widths[-1]) if self._team else nn.Identity()
+        # It adds nothing at first, so that a team can begin with the network of a robot.
+        layers = (_layers(self.width, widths[-1]), _linear(widths[-1], widths[-1], 0.0))
+        self.mix = nn.Sequential(*layers) if self._team else None
         self.head = _linear(widths[-1], 2, 0.01)
 
     def outputs(self, flow: torch.Tensor, *frame: torch.Tensor) -> torch.Tensor:
-        return Turned.back(self.head(self.mix(flow)), *frame)
+        if self.mix is not None:
+            flow = flow[:, : self.width // 2] + self.mix(flow)
+        return Turned.back(self.head(flow), *frame)
 
 
 class SetCritic(SetNetwork):

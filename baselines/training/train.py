@@ -210,8 +210,10 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
         compared = {name: (seen.get(name), here.get(name)) for name in {**seen, **here}}
     # The zoo's first have no other network, and no memory.
     theirs = {"network": "mlp", "memory": 0, **config["hyperparameters"]}
-    if theirs["network"] == "entities" and not theirs["memory"]:
-        asked.pop("memory", None)  # the policy is given one
+    if theirs["network"] == "entities":  # the policy is given a memory, and what its team sees
+        for name, none in {"memory": 0, "actor": "decentralized"}.items():
+            if theirs.get(name) == none:
+                asked.pop(name, None)
     compared |= {f"hyperparameters.{name}": (theirs.get(name), asked[name]) for name in asked}
     problems = [
         f"{name}: the policy's run has {theirs}, this run {ours}"

@@ -112,11 +112,13 @@ def test_rankings_are_compared_by_kendalls_tau(tmp_path: Path) -> None:
         make_run(tmp_path, [(1, mean, 0, mean, mean)], algorithm=algorithm)
         make_run(tmp_path, [NOTHING], algorithm=algorithm, field="field_03", seed=7)
     make_run(tmp_path, [(1, -9e6, 0, -9e6, -9e6)], algorithm="ppo", field="field_03")
-    make_run(tmp_path, [(1, 0, 0, 0, 0)], algorithm="ars", setting="B", field="field_03")
+    for field in ("field_01", "field_02", "field_03"):
+        make_run(tmp_path, [(1, 0, 0, 0, 0)], algorithm="ars", setting="B", field=field)
+    make_run(tmp_path, [(1, 9e6, 0, 9e6, 9e6)], algorithm="tqc", setting="B")  # one of three
     lines = tables.ranking(find_trainings([tmp_path])).lines
     paper = "CrossQ > TRPO > TQC > PPO > ARS > A2C"
     assert lines[0] == ("A", paper, "PPO > CrossQ > TRPO", "-0.33", "1.00", "field_01")
-    assert lines[1][2:] == ("ARS", "missing", "missing", "field_03")
+    assert lines[1][2:] == ("ARS", "missing", "missing", "field_01, field_02, field_03")
     assert lines[2][2:] == ("missing",) * 4
 
 

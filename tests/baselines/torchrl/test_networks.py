@@ -118,6 +118,7 @@ def test_sharing_decides_who_acts_alike_on_equal_rows(name: str, sets: bool) -> 
 
 def test_a_joint_actor_over_sets_is_of_all_robots_in_any_order_and_one_draw() -> None:
     actor, seen = loud(made("joint", sets=True)), rows(5, 3, ENGINE.obs_size)
+    torch.nn.init.normal_(actor.mean.mix[-1].weight)  # it is 0 in a new one
     actions = actor.means(seen)
     torch.testing.assert_close(actor.means(seen[:, [2, 0, 1]]), actions[:, [2, 0, 1]])
     other = torch.cat([seen[:, :2], rows(5, 1, ENGINE.obs_size, seed=1)], 1)

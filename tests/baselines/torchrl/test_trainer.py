@@ -263,11 +263,15 @@ def test_a_policy_of_random_fields_goes_anywhere_but_wants_a_field(
 
 
 @pytest.mark.parametrize(
-    ("setting", "source", "memory", "gain"),
-    [("G", "zoo:generalist", 6, 3.0), ("N", "zoo:field_03", 0, 1.0)],
+    ("algorithm", "setting", "source", "memory", "gain"),
+    [
+        ("mappo", "G", "zoo:generalist", 6, 3.0),
+        ("ppo-joint", "G", "zoo:generalist", 0, 3.0),
+        ("mappo", "N", "zoo:field_03", 0, 1.0),
+    ],
 )
 def test_a_run_begins_with_the_actor_of_another_one_and_ends_with_its_gain(
-    setting: Setting, source: str, memory: int, gain: float, tmp_path: Path
+    algorithm: str, setting: Setting, source: str, memory: int, gain: float, tmp_path: Path
 ) -> None:
     small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
     noise = {"log_std_start": -0.5, "log_std_cap": (9.0, 9.0)}
@@ -275,7 +279,7 @@ def test_a_run_begins_with_the_actor_of_another_one_and_ends_with_its_gain(
     still = {**small, **noise, "learning_rate": (0.01, 0.01), "memory": memory}
     begins = {"steps": 32, "episodes": 1, "transferred_from": Path(source)}
     tuned = train(
-        TrainConfig("mappo", "field_03", setting, hyperparameters=still, **begins),
+        TrainConfig(algorithm, "field_03", setting, hyperparameters=still, **begins),
         tmp_path / "tuned",
     )
     loaded = [load_policy(str(p)) for p in (source, tuned.path)]
