@@ -42,7 +42,11 @@ from mbn_marl.render import figures, style
 
 FIELDS = "fields"  # the folder of policies that were not trained on the field
 # By study: policies that do not learn, and episodes of each in every environment of the study.
-SCRIPTED = {"delayed": (("greedy", "replan"), 1), "known": (("greedy-local", "planner"), 100)}
+SCRIPTED: Mapping[str, tuple[Sequence[str], int]] = {
+    "delayed": (("greedy", "replan"), 1),
+    "known": (("greedy-local", "planner"), 100),
+    **{f"scale-{robots}": (("generalist",), 1) for robots in (2, 5, 12)},
+}
 POLICIES = {"hint": "zoo:generalist-hint", "generalist": "zoo:generalist"}  # others by their name
 COLUMNS = {  # of the first figure, by label: the folder
     **{"planner": FIELDS, "replan": FIELDS, "trpo": "aids", "ppo": "aids", "hint": FIELDS},
@@ -74,8 +78,8 @@ class Strip:
     """
 
     folder: Path = Path("docs/results")
-    """With STUDY/runs.csv; fields/runs.csv, classical.csv in delayed and known, and radii.csv in
-    search and price are measured if they are missing in their folders."""
+    """With STUDY/runs.csv; fields/runs.csv, the classical.csv of delayed, known and scale, and the
+    radii.csv of search and price are measured if they are missing in their folders."""
 
     def run(self, command: str) -> bool:
         places = {self.folder / FIELDS / "runs.csv": untrained}
@@ -119,8 +123,8 @@ def scripted(name: str, policies: Sequence[str], episodes: int) -> DataFrame:
     rows = []
     for policy, one, field in product(policies, reversed(variants.values()), study.fields):
         settings = {key: some for key, some in one.environment.items() if key != "observation"}
-        label = f"{policy}-{one.name.removeprefix('mappo-')}"
-        rows.append(measured(label, policy, field, episodes, **settings))
+        label = f"{policy}-{one.name.rpartition('-')[2]}"
+        rows.append(measured(label, POLICIES.get(policy, policy), field, episodes, **settings))
     return DataFrame(rows, columns=ROW)
 
 
