@@ -106,7 +106,9 @@ def by_radius(folder: Path) -> DataFrame:
         rows = pandas.read_csv(path)
         policy, radius = rows.label.str.rsplit("-", n=1, expand=True).to_numpy().T
         gap = rows.makespan / rows.bound - 1.0
-        own = {"policy": policy, "information": "own", "field": rows.instance, "gap": gap}
+        runs = pandas.read_csv(folder / "runs.csv").groupby("label").information
+        sees = rows.label.map(runs.first())
+        own = {"policy": policy, "information": sees, "field": rows.instance, "gap": gap}
         found.append(DataFrame({**own, "comm_radius": radius.astype(float)}))
     return pandas.concat(found, ignore_index=True)[SEARCH_ROW]
 

@@ -110,7 +110,10 @@ def test_policies_are_compared_by_radius(tmp_path: Path) -> None:
     (tmp_path / "instances.csv").write_text(
         "label,field,seed,instance,bound,makespan\n"
         "mappo-0,t,0,a,10,30\nmappo-0,t,1,a,10,50\nmappo-inf,t,0,a,10,20\nmappo-inf,t,0,b,10,\n"
+        "joint-inf,t,0,a,10,10\njoint-inf,t,0,b,10,20\n"
     )
+    sees = "label,information\nmappo-0,own\nmappo-inf,own\njoint-inf,all\n"
+    (tmp_path / "runs.csv").write_text(sees)
     assert searched(tmp_path).lines == [
         (
             "mine",
@@ -122,10 +125,12 @@ def test_policies_are_compared_by_radius(tmp_path: Path) -> None:
         ),
         ("script", "own", "50% / - / 100%", "1.00", "-", "2.00"),
         ("mappo", "own", "100% / - / 50%", "2.00", "-", "2.00"),
+        ("joint", "all", "- / - / 100%", "1.50 (1.00..2.00)", "-", "-"),
     ]
     (axes,) = reach(by_radius(tmp_path)).axes
-    assert axes.lines[0].get_xydata().tolist() == [[0.0, 4.0], [len(RADII) - 1, 2.0]]
-    assert [*axes.lines[1].get_ydata()] == [2.5, 2.5], "one line for all radii"
+    assert axes.lines[0].get_xydata().tolist() == [[len(RADII) - 1, 1.5]]
+    assert axes.lines[1].get_xydata().tolist() == [[0.0, 4.0], [len(RADII) - 1, 2.0]]
+    assert [*axes.lines[2].get_ydata()] == [2.5, 2.5], "one line for all radii"
 
 
 def test_tables_of_the_pages_are_of_their_data() -> None:
