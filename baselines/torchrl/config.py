@@ -65,6 +65,9 @@ class MultiAgentPPOConfig(TrainingAids):
     # Mean actions are multiplied by this after the last update. Full force is the fastest, but
     # while noise adds to them, larger means gain little.
     final_gain: Positive
+    # The same before the first update of a run that begins with another one's policy: 1/3 takes
+    # back a final gain of 3. Noise changes little where means are beyond the largest force.
+    first_gain: Positive = 1.0
 
     @property
     def decisions(self) -> int:

@@ -257,6 +257,7 @@ class Trainer:
         theirs: Any = load_trained(source)
         ours = self.network.state_dict()
         self.network.load_state_dict({**ours, **theirs.network.state_dict(), NOISE: ours[NOISE]})
+        self.network.amplify(self.config.first_gain)
         # The critic begins with what they share, which is the encoder.
         values = self.critic.values.state_dict()
         shared = {
