@@ -263,20 +263,21 @@ def test_a_policy_of_random_fields_goes_anywhere_but_wants_a_field(
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "setting", "source", "memory", "gain"),
+    ("algorithm", "setting", "source", "memory", "gains"),
     [
-        ("mappo", "G", "zoo:generalist", 6, 3.0),
-        ("ppo-joint", "G", "zoo:generalist", 0, 3.0),
-        ("mappo", "N", "zoo:field_03", 0, 1.0),
+        ("mappo", "G", "zoo:generalist", 6, (0.5, 3.0)),
+        ("ppo-joint", "G", "zoo:generalist", 0, (1.0, 3.0)),
+        ("mappo", "N", "zoo:field_03", 0, (1.0, 1.0)),
     ],
 )
-def test_a_run_begins_with_the_actor_of_another_one_and_ends_with_its_gain(
-    algorithm: str, setting: Setting, source: str, memory: int, gain: float, tmp_path: Path
+def test_a_run_begins_with_the_actor_of_another_one_and_multiplies_its_means(
+    algorithm: str, setting: Setting, source: str, memory: int, gains: Any, tmp_path: Path
 ) -> None:
     small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
     noise = {"log_std_start": -0.5, "log_std_cap": (9.0, 9.0)}
     # The actor keeps still in the first rollouts, of which there are two.
     still = {**small, **noise, "learning_rate": (0.01, 0.01), "memory": memory}
+    still["first_gain"] = gains[0]
     begins = {"steps": 32, "episodes": 1, "transferred_from": Path(source)}
     tuned = train(
         TrainConfig(algorithm, "field_03", setting, hyperparameters=still, **begins),
@@ -286,7 +287,7 @@ def test_a_run_begins_with_the_actor_of_another_one_and_ends_with_its_gain(
     seen = torch.from_numpy(BatchEngine("field_03", 1, threads=1, **loaded[0].settings).reset())
     first, second = (one.policy for one in loaded)
     theirs, ours = (policy.step(seen, policy.blank(seen))[0] for policy in (first, second))
-    torch.testing.assert_close(ours, gain * theirs, atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(ours, math.prod(gains) * theirs, atol=1e-5, rtol=1e-4)
     assert second.network.log_std.detach().numpy() == pytest.approx(-0.5)
     assert f"--from {source}" in tuned.command
 
