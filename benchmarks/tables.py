@@ -11,7 +11,6 @@ import pandas
 from pandas import DataFrame
 from scipy.stats import binomtest
 
-from baselines.compare.benchmark import PRICES
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.intervals import Interval, mean_interval
 from baselines.runs.files import read_json, read_text, write_text
@@ -22,6 +21,8 @@ PLACE = re.compile(r"(?m)^<!-- table: (\S+) -->\n(?:\n(?:\|.*\n)+)?")
 CLASSICAL_ROWS = "classical.csv"
 BOARD, SEARCHED, PRICED, PASSED = "leaderboard", "search", "price", "passages"
 RADII_ROWS = "radii.csv"
+# Of makespans at communication radii, or the proved bound.
+RATIOS = "inf / bound", "100 / bound", "0 / bound", "100 / inf", "0 / inf"
 SEARCH_ROW = ["policy", "information", "field", "comm_radius", "gap"]
 ROW = [
     *("label", "information", "field", "seed", "passed"),
@@ -74,18 +75,18 @@ def weather(folder: Path) -> TextTable:
 
 
 def searched(folder: Path) -> TextTable:
-    """Return success at each radius, and the prices paired by field, by mean actions."""
+    """Return success at each radius, and ratios of makespans, by mean actions, fields paired."""
     lines = []
     for (policy, sees), own in by_radius(folder).groupby(["policy", "information"]):
         success = own.gap.notna().groupby(own.comm_radius).mean().reindex(splits.RADII.values())
         shares = " / ".join("-" if np.isnan(share) else f"{share:.0%}" for share in success)
         gaps = own.pivot_table("gap", "field", "comm_radius").reindex(columns=success.index)
         never, near, all_heard = (1.0 + gaps).to_numpy().T
-        found = (all_heard, near / all_heard, never / all_heard)  # as PRICES has them
+        found = (all_heard, near, never, near / all_heard, never / all_heard)  # as RATIOS has them
         known = [ratios[~np.isnan(ratios)] for ratios in found]
         words = [_with_ends(mean_interval([*some]) if len(some) else None) for some in known]
         lines.append((-success.sum(), words[0], policy, sees, shares, *words))
-    headings = ("policy", "information", f"success at {' / '.join(splits.RADII)}", *PRICES)
+    headings = ("policy", "information", f"success at {' / '.join(splits.RADII)}", *RATIOS)
     return TextTable("", headings, [line[2:] for line in sorted(lines)], words=2)
 
 
