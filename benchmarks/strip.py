@@ -54,9 +54,9 @@ COLUMNS = {  # of the first figure, by label: the folder
     "greedy": FIELDS,
 }
 RADII = (0.0, 50.0, 100.0, 150.0, 200.0, 300.0, math.inf)
-UNDRAWN = ("blind", "open-loop", "replan")
 THREE = tuple(splits.RADII.values())
 SHIELD = "-shield"
+UNDRAWN = ("blind", "open-loop", "replan", f"generalist{SHIELD}")
 # By folder: the tier, and radii of policies.
 SEARCHERS: Mapping[str, tuple[str, Mapping[str, Sequence[float]]]] = {
     SEARCHED: (

@@ -22,7 +22,7 @@ CLASSICAL_ROWS = "classical.csv"
 BOARD, SEARCHED, PRICED, PASSED = "leaderboard", "search", "price", "passages"
 RADII_ROWS = "radii.csv"
 # Of makespans at communication radii, or the proved bound.
-RATIOS = "inf / bound", "100 / bound", "0 / bound", "100 / inf", "0 / inf"
+RATIOS = "0 / bound", "100 / bound", "inf / bound", "100 / inf", "0 / inf"
 SEARCH_ROW = ["policy", "information", "field", "comm_radius", "gap"]
 ROW = [
     *("label", "information", "field", "seed", "passed"),
@@ -82,10 +82,10 @@ def searched(folder: Path) -> TextTable:
         shares = " / ".join("-" if np.isnan(share) else f"{share:.0%}" for share in success)
         gaps = own.pivot_table("gap", "field", "comm_radius").reindex(columns=success.index)
         never, near, all_heard = (1.0 + gaps).to_numpy().T
-        found = (all_heard, near, never, near / all_heard, never / all_heard)  # as RATIOS has them
+        found = (never, near, all_heard, near / all_heard, never / all_heard)  # as RATIOS has them
         known = [ratios[~np.isnan(ratios)] for ratios in found]
         words = [_with_ends(mean_interval([*some]) if len(some) else None) for some in known]
-        lines.append((-success.sum(), words[0], policy, sees, shares, *words))
+        lines.append((-success.sum(), words[2], policy, sees, shares, *words))
     headings = ("policy", "information", f"success at {' / '.join(splits.RADII)}", *RATIOS)
     return TextTable("", headings, [line[2:] for line in sorted(lines)], words=2)
 
