@@ -291,7 +291,7 @@ class Recorder:
             split = "test" if times > 1 else "validation"
             if tier == SEARCH:
                 place = search_side_by_side(split, make_config(settings).comm_radius)
-                settings |= {"decoys": 0, **place[0].settings}
+                settings |= place[0].settings
             else:
                 place = load_split(split, tier)
             several = max(1, several // len(place))

@@ -211,7 +211,8 @@ def make_sampler(split: Split, tier: str) -> FieldSampler | Passages:
 
 def search_settings(empty: Sequence[int], radius: float) -> dict[str, Any]:
     """Return what the tier 6-search fixes of the environment of an instance."""
-    return {**SETTINGS[SEARCH], "empty_rois": tuple(empty), "comm_radius": radius}
+    fixed = {"decoys": 0, "empty_rois": tuple(empty), "comm_radius": radius}
+    return {**SETTINGS[SEARCH], **fixed}
 
 
 def training_settings(tier: str | None) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from tests.baselines.conftest import Refusal
 from tests.support.runs import TinyRuns
 
 ROOT = Path(__file__).parents[3]
-ANYWHERE = ("generalist", "generalist-hint")
+ANYWHERE = ("generalist", "generalist-hint", "search")
 """The policies that were trained on random fields."""
 IN_THE_GATE = ("field_03", "field_07")
 pytestmark = pytest.mark.slow
