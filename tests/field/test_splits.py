@@ -53,7 +53,8 @@ def test_a_searched_field_is_there_at_each_radius_with_its_empty_rois(tmp_path: 
     read = load_split("test", SEARCH, tmp_path)
     assert [one.radius for one in read] == [*RADII] * 2
     assert len({one.field.name for one in read}) == 2
-    config = make_config({"observation": "entities", **read[1].settings})
+    trained = {"observation": "entities", "decoys": 12}
+    config = make_config({**trained, **read[1].settings})
     known = config.knowledge, config.comm_radius, config.look_radius, config.max_steps
     assert known == ("own", 100.0, 60.0, 600)
     assert config.empty_rois == tuple(range(12))
