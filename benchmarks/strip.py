@@ -47,7 +47,9 @@ SCRIPTED: Mapping[str, tuple[Sequence[str], int]] = {
     "known": (("greedy-local", "planner"), 100),
     **{f"scale-{robots}": (("generalist",), 1) for robots in (2, 5, 12)},
 }
-POLICIES = {"hint": "zoo:generalist-hint", "generalist": "zoo:generalist"}  # others by their name
+POLICIES = {  # others by their name
+    **{"hint": "zoo:generalist-hint", "generalist": "zoo:generalist", "search": "zoo:search"},
+}
 COLUMNS = {  # of the first figure, by label: the folder
     **{"planner": FIELDS, "replan": FIELDS, "trpo": "aids", "ppo": "aids", "hint": FIELDS},
     **{"mappo": "forms", "generalist": FIELDS, "ippo": "forms", "ppo-joint": "forms"},
@@ -56,12 +58,15 @@ COLUMNS = {  # of the first figure, by label: the folder
 RADII = (0.0, 50.0, 100.0, 150.0, 200.0, 300.0, math.inf)
 THREE = tuple(splits.RADII.values())
 SHIELD = "-shield"
-UNDRAWN = ("blind", "open-loop", "replan", f"generalist{SHIELD}")
+UNDRAWN = ("blind", "open-loop", "replan", f"generalist{SHIELD}", "search", f"search{SHIELD}")
 # By folder: the tier, and radii of policies.
 SEARCHERS: Mapping[str, tuple[str, Mapping[str, Sequence[float]]]] = {
     SEARCHED: (
         splits.SEARCH,
-        {"greedy-local": RADII, "greedy": THREE, f"generalist{SHIELD}": THREE},
+        {
+            **{"greedy-local": RADII, "greedy": THREE, f"generalist{SHIELD}": THREE},
+            **{"search": THREE, f"search{SHIELD}": THREE},
+        },
     ),
     PRICED: (
         "1-convex",

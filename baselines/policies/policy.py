@@ -229,7 +229,7 @@ def acts_on(field: Field | FieldSampler, config: NavigationConfig) -> dict[str, 
         "one_hot": config.one_hot,
     }
     if config.observation == "entities":
-        for name in ("robots", "ROIs", "arena"):
+        for name in ("robots", "ROIs", "arena", "kinds"):
             del sizes[name]
         sizes["sensing_radius"] = min(config.sensing_radius, math.hypot(*field.arena))
     elif config.observation in WITH_RADIUS:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from baselines import load_policy
 from baselines.policies.classical import make_classical
 from mbn_marl import BatchEngine, Field
 from mbn_marl.errors import ConfigError
@@ -54,6 +55,20 @@ def test_classical_policies_keep_to_their_kinds(name: str) -> None:
     seen, policy = engine.reset(), policy.fit(engine)
     while engine.running[0]:
         seen, *_ = engine.step(policy.act_in(engine, seen))
+    assert engine.snapshot().success
+
+
+@pytest.mark.slow
+def test_a_policy_over_sets_acts_on_kinds_that_it_has_not_met() -> None:
+    field = Field(**{**SWAP.to_dict(), "starts": [(120.0, 120.0), (280.0, 180.0)]})
+    policy = load_policy("zoo:generalist", field)
+    engine = BatchEngine(field, 1, autoreset=False, **policy.settings)
+    seen = engine.reset()
+    for robot, left in enumerate([[0.0, 1.0, 1.0], [1.0, 0.0, 1.0]]):
+        assert [entries(engine, robot)[f"roi_{j}_left"] for j in range(3)] == left
+        assert entries(engine, robot)[f"roi_{1 - robot}_others"] == 1.0  # the other may not go
+    while engine.running[0]:
+        seen, *_ = engine.step(policy.fit(engine).act_in(engine, seen, deterministic=True))
     assert engine.snapshot().success
 
 

@@ -92,7 +92,7 @@ class Oracle:
         self.max_steps = max_steps
         self.observation, self.assignment, self.one_hot = observation, assignment, one_hot
         self.atlas = Atlas(self.polygon, self.rois) if assignment else None
-        self.token = 9 + 2 * bool(assignment) + bool(field.roi_kinds)
+        self.token = 9 + 2 * bool(assignment)
         self.sensing_radius = sensing_radius
         self.failures, self.failure_rate, self.fails = failures, failure_rate, fails or {}
         telling = {name: more.pop(name) for name in KNOWLEDGE[1:] if name in more}

@@ -217,8 +217,9 @@ def entities(oracle: Any, i: int, there: Any, me: Any, others: list[Any]) -> Ite
         place, is_seen = oracle.disturbances.seen(i, 64 + j, roi, oracle.bounds)
         rivals = [
             soft(math.dist(other.position, place), FAR)
-            for other in others
+            for k, other in enumerate(others)
             if other.seen and oracle.notices(me, other) and not other.failed
+            if oracle.is_mine(k + (k >= i), j)
         ]
         token = [1.0, *toward(place, me.position), min([*rivals, 1.0])]
         if plan:
@@ -226,8 +227,7 @@ def entities(oracle: Any, i: int, there: Any, me: Any, others: list[Any]) -> Ite
             if corner is not None:
                 token[1:8] = [*toward(corner, me.position)[:-1], soft(float(way), FAR)]
             token += [plan.turn(i, j), straight]
-        token += oracle.mine(i, j)
-        yield (oracle.is_left(i, j) and is_seen) * np.array(token)
+        yield (oracle.is_left(i, j) and oracle.is_mine(i, j) and is_seen) * np.array(token)
 
 
 def toward(place: Any, spot: Any) -> list[float]:

@@ -14,7 +14,7 @@ from mbn_marl.engine.mdp import lidar
 from mbn_marl.engine.mdp.assignment import STRAIGHT, Tours, assigns, way_to
 from mbn_marl.engine.mdp.drawn_numbers import numbers_of
 from mbn_marl.engine.mdp.failures import WORKS, blank_gone, put_flag, status_of
-from mbn_marl.engine.mdp.kinds import put_mine
+from mbn_marl.engine.mdp.kinds import is_mine
 from mbn_marl.engine.mdp.knowledge import hide_unnoticed, is_left, knows_own, notices
 from mbn_marl.engine.mdp.sight import (
     Row,
@@ -22,7 +22,6 @@ from mbn_marl.engine.mdp.sight import (
     drop,
     flag_row,
     heading_rows,
-    mine_row,
     put_heading,
     put_own_motion,
     roi_place,
@@ -37,9 +36,9 @@ SCALES = np.array([15.0, 100.0])
 STEPS_AHEAD = np.float32(15.0)
 
 
-def entity_rows(n: int, m: int, turns: bool, flag: str, assigned: bool, kinds: bool) -> list[Row]:
+def entity_rows(n: int, m: int, turns: bool, flag: str, assigned: bool) -> list[Row]:
     # ``turns``: robots have headings; ``flag``: the name of the flag of robots that have failed, or
-    # none; ``assigned``: ROIs are assigned; ``kinds``: they are for robots of their kind.
+    # none; ``assigned``: ROIs are assigned.
     near, far = (f"soft, {scale:g} units" for scale in SCALES)
     rows = [(f"own_v{a}", -1.0, 1.0, "speed limits") for a in "xy"]
     rows += heading_rows("own", turns) + flag_row("own", flag) + lidar.wall_rows()
@@ -59,7 +58,6 @@ def entity_rows(n: int, m: int, turns: bool, flag: str, assigned: bool, kinds: b
         if assigned:
             rows += [(f"{one}_order", 0.0, 1.0, "1 / place in the robot's order")]
             rows += [(f"{one}_seen", 0.0, 1.0, "flag")]
-        rows += mine_row(one, kinds)
     return rows
 
 
@@ -155,7 +153,7 @@ def put_place(p, g, view, lo, hi, j, k):
                 f = column(g.field, w)
                 dx = roi_place(g, view, 0, j, f, w) - robots.x[other, w]
                 dy = roi_place(g, view, 1, j, f, w) - robots.y[other, w]
-                counts = status_of(view.ep, other, w) == WORKS
+                counts = (status_of(view.ep, other, w) == WORKS) & is_mine(g, other, j, w)
                 if disturbs_sight(view):
                     counts &= view.sensed[other, w] != 0
                 if knows_own(view.ep):
@@ -194,11 +192,13 @@ def put_plan(p, g, view, lo, hi, j, k):
 
 
 @compiled
-def blank_visited(p, g, view, lo, hi, j, k, end):
+def blank_done(p, g, view, lo, hi, j, k, end):
+    # An ROI for another kind is blank too: then a policy acts as it has learned without kinds.
     for w in range(lo, hi):
-        left = p.one if is_left(p, g, view.ep, view.i, j, w) else p.zero
+        left = is_left(p, g, view.ep, view.i, j, w) & is_mine(g, view.i, j, w)
+        shown = p.one if left else p.zero
         for entry in range(k, end):
-            view.tile[entry, w - lo] *= left
+            view.tile[entry, w - lo] *= shown
 
 
 @compiled
@@ -229,7 +229,6 @@ def put_entities(p, g, view, lo, hi):
         if assigns(view):
             put_plan(p, g, view, lo, hi, j, first)
             k += 2
-        k += put_mine(p, g, view, lo, hi, j, k)
         drop(view, lo, hi, n + j, first, k)
-        blank_visited(p, g, view, lo, hi, j, first, k)
+        blank_done(p, g, view, lo, hi, j, first, k)
     return k

@@ -88,7 +88,7 @@ def observation_table(
         rows = _state_rows(n, m, arena, config.top_speed, turns, flag)
     elif config.observation == "entities":
         failed = flag if config.failures else ""  # who is absent, its tokens say
-        rows = entity_rows(n, m, turns, failed, bool(config.assignment), kinds)
+        rows = entity_rows(n, m, turns, failed, bool(config.assignment))
     else:
         rows = _scaled_rows(n, m, config.observation, turns, flag, kinds)
     if config.one_hot:
