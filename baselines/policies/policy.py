@@ -222,14 +222,14 @@ def acts_on(field: Field | FieldSampler, config: NavigationConfig) -> dict[str, 
         **{"robots": robots, "ROIs": rois, "arena": tuple(map(float, field.arena))},
         "headings": _turns(config, robots),
         "failures": config.failures is not None,
-        "kinds": isinstance(field, Field) and bool(field.roi_kinds),
+        "kinds": config.observation != "entities" and bool(getattr(field, "roi_kinds", ())),
         "v_clip": config.top_speed,
         "observation": config.observation,
         "assignment": bool(config.assignment),
         "one_hot": config.one_hot,
     }
     if config.observation == "entities":
-        for name in ("robots", "ROIs", "arena", "kinds"):
+        for name in ("robots", "ROIs", "arena"):
             del sizes[name]
         sizes["sensing_radius"] = min(config.sensing_radius, math.hypot(*field.arena))
     elif config.observation in WITH_RADIUS:
