@@ -63,12 +63,12 @@ def test_a_policy_over_sets_acts_on_kinds_that_it_has_not_met() -> None:
     field = Field(**{**SWAP.to_dict(), "starts": [(120.0, 120.0), (280.0, 180.0)]})
     policy = load_policy("zoo:generalist", field)
     engine = BatchEngine(field, 1, autoreset=False, **policy.settings)
-    seen = engine.reset()
+    seen, policy = engine.reset(), policy.fit(engine)
     for robot, left in enumerate([[0.0, 1.0, 1.0], [1.0, 0.0, 1.0]]):
         assert [entries(engine, robot)[f"roi_{j}_left"] for j in range(3)] == left
         assert entries(engine, robot)[f"roi_{1 - robot}_others"] == 1.0  # the other may not go
     while engine.running[0]:
-        seen, *_ = engine.step(policy.fit(engine).act_in(engine, seen, deterministic=True))
+        seen, *_ = engine.step(policy.act_in(engine, seen, deterministic=True))
     assert engine.snapshot().success
 
 
