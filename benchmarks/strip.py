@@ -178,14 +178,18 @@ def reach(rows: DataFrame) -> Figure:
     for look, (label, own) in enumerate(rows.dropna().groupby("policy")):
         of_fields = 1.0 + own.groupby(["comm_radius", "field"]).gap.mean()  # over seeds
         found = of_fields.groupby("comm_radius").apply(lambda some: mean_interval([*some]))
-        places = [RADII.index(radius) for radius in found.index]
-        means, *ends = np.array([*found], float).T
         if own.information.iloc[0] == "state":  # the same at every radius
-            axes.axhline(means[0], ls="--", color=style.FAINT_INK, label=f"{label}, which sees all")
+            mean = found.iloc[0].mean
+            axes.axhline(mean, ls="--", color=style.FAINT_INK, label=f"{label}, which sees all")
             continue
+        # Radii without a measurement stay NaN, so that no line crosses them.
+        measured = np.full((len(RADII), 3), np.nan)
+        measured[[RADII.index(radius) for radius in found.index]] = np.array([*found], float)
+        means, low, high = measured.T
         colour, dash, marker = style.series(look)
-        axes.plot(places, means, color=colour, ls=dash, marker=marker, ms=4, label=label)
-        axes.fill_between(places, *ends, color=colour, alpha=0.18, lw=0)
+        places = np.arange(len(RADII)) + 0.04 * (look - 3)  # side by side
+        ends = (means - low, high - means)
+        axes.errorbar(places, means, ends, fmt=marker, color=colour, ls=dash, ms=4, label=label)
     axes.set_xticks(range(len(RADII)), ["all" if r == math.inf else f"{r:g}" for r in RADII])
     axes.set(ylim=(1.0, None), xlabel="comm_radius, units", ylabel="makespan over the bound")
     axes.grid(True)

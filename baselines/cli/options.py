@@ -45,7 +45,8 @@ class Writes:
 class InWeather(Writes):
     source: Positional[Annotated[str, arg(metavar="POLICY")]]
     """The folder of a run; zoo:NAME, a policy of `mbn zoo`; zoo, that of the field; greedy,
-    planner, replan or random, see docs/planner.md; or module:callable, your own."""
+    planner, replan, open-loop, greedy-local, blind or random, see docs/planner.md; or
+    module:callable, your own."""
     condition: Condition | None = None
     """A named condition, whose weather and failures replace those it was trained in."""
     wind: tuple[float, float] | None = None

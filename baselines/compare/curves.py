@@ -25,7 +25,7 @@ Curves = Mapping[str, Sequence[tuple[FloatArray, FloatArray]]]
 Band = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Pair = tuple[float | None, float | None]  # two returns; ``None`` is missing
 
-_RATIOS = (1.0, 1.05, 1.1, 1.2, 1.3, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
+_RATIOS = (1.0, 1.1, 1.2, 1.3, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
 _STEPS = (10, 20, 30, 40, 50, 70, 100, 200, 300, 500, 1000)
 _RULE: dict[str, Any] = {"color": style.FAINT_INK, "lw": 1.0}  # the look of a marked return
 _PAIR_MARKS: tuple[dict[str, Any], ...] = (
@@ -68,7 +68,7 @@ def draw_learning_curves(
 def strips_figure(groups: Mapping[str, Sequence[float | None]], *, steps: bool = False) -> Figure:
     """Draw makespan gaps, or makespans in ``steps``, a column a group, a dot a run.
 
-    The median is a line; ``None`` failed.
+    ``None`` failed. The median is a line, left out if it is a failure.
     """
     figure = Figure(figsize=(max(4.6, 0.7 * len(groups) + 1.0), 3.4), layout="constrained")
     axes = figure.add_subplot()
@@ -81,8 +81,9 @@ def strips_figure(groups: Mapping[str, Sequence[float | None]], *, steps: bool =
         heights = np.array([top if value is None else least + value for value in values])
         failed = np.array([value is None for value in values])
         axes.plot(places[~failed], heights[~failed], "o", c=style.BLUE, ms=3.5, alpha=0.6)
-        if not failed.all():
-            axes.hlines(np.median(heights[~failed]), column - 0.35, column + 0.35, color=style.INK)
+        median = np.median(np.where(failed, np.inf, heights))
+        if np.isfinite(median):
+            axes.hlines(median, column - 0.35, column + 0.35, color=style.INK)
         if failed.any():
             axes.plot(places[failed], heights[failed], "x", c=style.VERMILLION, ms=5, clip_on=False)
     marks = {f"{n}": float(n) for n in _STEPS if 0.95 * min(known, default=1.0) <= n <= most}

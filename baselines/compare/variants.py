@@ -56,7 +56,7 @@ Word = Annotated[
         metavar="ALGO",
         instance_from_str=lambda words: parse_variant(words[0]),
         is_instance=lambda value: isinstance(value, Variant),
-        str_from_instance=lambda value: [value.name],
+        str_from_instance=lambda value: [f"{value.algorithm}:{value.setting}"],
     ),
 ]
 
