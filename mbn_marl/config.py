@@ -572,7 +572,7 @@ def describe(error: ValidationError, model: type[BaseModel]) -> list[str]:
             known = _level(model, path).model_fields.items()  # without repr: not to be set by hand
             message = unknown("name", str(name), [name for name, field in known if field.repr])
         elif kind == "literal_error":
-            choices = re.findall(r"'(.*?)'", context["expected"])
+            choices = [one.strip("'") for one in re.split(", | or ", context["expected"])]
             shown = _shown(given)
             message = f"{shown}: " + unknown("choice", shown.strip("'"), choices)
         elif kind != "missing":  # else the input is all that is around it

@@ -14,7 +14,7 @@ VIEW = (
     *("reward_sharing", "observation", "assignment", "one_hot", "sensing_radius", "dtype"),
     *("position_noise", "velocity_noise", "dropout", "gust_time", *KNOWLEDGE),
 )
-DELAY = "action_delay"
+DELAY, LIMIT = "action_delay", "max_steps"
 # Units, for positions in float32.
 ROUNDING = 1e-3
 
@@ -24,11 +24,12 @@ def optimal_makespan(field: Field, config: NavigationConfig | None = None) -> in
 
     It is proved for the default dynamics, the released rewards and the field's own starts and
     team. ``config`` is that of the environment; ``None`` is the default one. An ``action_delay``
-    adds its steps, in which the robots rest, if no ROI is in reach of a start.
+    adds its steps, in which the robots rest, if no ROI is in reach of a start. There is none within
+    a ``max_steps`` below it.
     """
     config = config or DEFAULT
     comparable = config.model_copy(
-        update={name: NavigationConfig.model_fields[name].default for name in (*VIEW, DELAY)}
+        update={name: NavigationConfig.model_fields[name].default for name in (*VIEW, DELAY, LIMIT)}
     )
     team = DEFAULT.model_copy(update={"n_robots": len(field.starts)})
     if field.optimal_makespan is None or comparable not in (DEFAULT, team):
@@ -37,7 +38,8 @@ def optimal_makespan(field: Field, config: NavigationConfig | None = None) -> in
         ways = np.linalg.norm(field.rois[:, None] - field.starts, axis=-1)
         if ways.min() <= ROI_RADIUS + ROUNDING:
             return None
-    return field.optimal_makespan + config.action_delay
+    makespan = field.optimal_makespan + config.action_delay
+    return makespan if makespan <= config.max_steps else None
 
 
 def optimal_return(field: Field, config: NavigationConfig | None = None) -> float | None:

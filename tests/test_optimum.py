@@ -22,6 +22,8 @@ def test_environments_say_their_optimal_return() -> None:
         assert optimal_return(field, make_config(other)) is None
     blind = make_config({"position_noise": 1.0, "velocity_noise": 0.1, "dropout": 0.5})
     assert optimal_return(field, blind) == 159_490.0  # what is seen changes no return
+    for limit, best in ((17, 159_490.0), (16, None)):  # T* = 17
+        assert optimal_return(field, make_config({"max_steps": limit})) == best
 
 
 def test_a_delay_adds_its_steps_to_the_makespan() -> None:

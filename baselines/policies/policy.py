@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from mbn_marl.config import NavigationConfig
+from mbn_marl.config import WITHOUT_RADIUS, NavigationConfig
 from mbn_marl.engine import BatchEngine
 from mbn_marl.engine.mdp.dynamics import count_headings
-from mbn_marl.engine.mdp.observations import WITH_RADIUS, observation_table
+from mbn_marl.engine.mdp.observations import observation_table
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, FieldSampler
 
@@ -232,8 +232,8 @@ def acts_on(field: Field | FieldSampler, config: NavigationConfig) -> dict[str, 
         for name in ("robots", "ROIs", "arena"):
             del sizes[name]
         sizes["sensing_radius"] = min(config.sensing_radius, math.hypot(*field.arena))
-    elif config.observation in WITH_RADIUS:
-        sizes["sensing_radius"] = config.sensing_radius
     elif config.observation == "state":
         del sizes["arena"], sizes["v_clip"]
+    elif config.observation not in WITHOUT_RADIUS:
+        sizes["sensing_radius"] = config.sensing_radius
     return sizes

@@ -24,7 +24,7 @@ from mbn_marl.adapters.one_world import (
 )
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import BatchEngine, FieldLike, Fields
-from mbn_marl.engine.validation import as_array, option_problems, reset_problems
+from mbn_marl.engine.validation import REAL, as_array, option_problems, reset_problems
 from mbn_marl.errors import ActionError, ConfigError
 from mbn_marl.field import FieldSampler
 from mbn_marl.render.viewer import RENDER_SIZE
@@ -303,12 +303,13 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
 def _as_actions(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.floating[Any]]:
     try:
         array = as_array(actions)
-        floats = array if array.dtype.kind == "f" else array.astype(np.float64)
     except (TypeError, ValueError):
-        raise ActionError(f"action: {actions!r:.80}; allowed: numbers of shape {shape}") from None
-    if floats.shape != shape:
-        raise ActionError(f"action: shape {floats.shape}; allowed: {shape}")
-    return floats
+        array = np.empty(0, object)
+    if array.dtype.kind not in REAL:
+        raise ActionError(f"action: {actions!r:.80}; allowed: numbers of shape {shape}")
+    if array.shape != shape:
+        raise ActionError(f"action: shape {array.shape}; allowed: {shape}")
+    return array if array.dtype.kind == "f" else array.astype(np.float64)
 
 
 centralized_env = CentralizedEnv

@@ -95,8 +95,6 @@ class Infos:
         return np.column_stack([self._engine.team_infos(), *self._team_wide(ended)])
 
     def _team_wide(self, ended: NDArray[np.bool_]) -> list[NDArray[Any]]:
-        if self.keys[-1] == GAP:  # nothing is drawn
-            return [self._gaps(ended)]
         drawn = self._engine.drawn()
         if self._engine.autoreset == "same_step":
             final = self._engine.final_drawn()
@@ -106,7 +104,7 @@ class Infos:
     def _gaps(self, ended: NDArray[np.bool_]) -> NDArray[np.float64]:
         if not ended.any():
             return np.full(len(ended), np.nan)
-        returns = self._engine.metrics()["episode_return"]
+        returns = self._engine.metrics(["episode_return"])["episode_return"]
         return np.where(ended, 1.0 - returns / self.optima, np.nan)
 
     def _named(self, row: list[float]) -> dict[str, float]:

@@ -16,7 +16,7 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 from mbn_marl.adapters.one_world import OneWorld, rename_max_steps
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import FieldLike
-from mbn_marl.engine.validation import as_array
+from mbn_marl.engine.validation import REAL, as_array
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError, unknown
 from mbn_marl.field import FieldSampler
 from mbn_marl.render.viewer import RENDER_SIZE
@@ -177,21 +177,20 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
             raise MbnError(f"{agent!r}: {unknown('agent', str(agent), self.possible_agents)}")
 
     def _stacked(self, actions: Mapping[str, ArrayLike]) -> NDArray[Any]:
-        # An array (n, 2) in the engine's dtype, 0 of robots that are not asked.
+        # An array (n, 2), 0 of robots that are not asked.
         agents = self.agents
         try:
-            given = np.array([actions[agent] for agent in agents], self.engine.dtype)
-        except (LookupError, OverflowError, RuntimeError, TypeError, ValueError):
+            given = np.array([actions[agent] for agent in agents])
+            alike = given.shape == (len(agents), 2) and given.dtype.kind in REAL
+        except (LookupError, RuntimeError, TypeError, ValueError):
+            alike = False
+        if not alike or len(actions) != len(agents):
             if problem := self._problem(actions):
-                raise ActionError(problem) from None
-            arrays = [as_array(actions[agent]) for agent in agents]
-            given = np.array(arrays, self.engine.dtype)
-        alike = given.shape == (len(agents), 2) and len(actions) == len(agents)
-        if not alike and (problem := self._problem(actions)):
-            raise ActionError(problem)
+                raise ActionError(problem)
+            given = np.array([_two_numbers(actions[agent]) for agent in agents])
         if len(agents) == len(self.possible_agents):
             return given
-        stacked = np.zeros((len(self.possible_agents), 2), self.engine.dtype)
+        stacked = np.zeros((len(self.possible_agents), 2), given.dtype)
         stacked[[self._index[agent] for agent in agents]] = given
         return stacked
 
@@ -203,17 +202,19 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         for agent in known:
             if agent not in actions:
                 problems.append(f"{agent}: missing")
-            elif not _is_action(actions[agent]):
+            elif _two_numbers(actions[agent]) is None:
                 problems.append(f"{agent}: {actions[agent]!r:.80}, not two numbers")
         allowed = f"two numbers for each of {', '.join(known)}"
         return f"actions: {'; '.join(problems)}; allowed: {allowed}" if problems else ""
 
 
-def _is_action(action: object) -> bool:
+def _two_numbers(action: object) -> NDArray[np.float64] | None:
     try:
-        return as_array(action).astype(np.float64).shape == (2,)
-    except (OverflowError, TypeError, ValueError):
-        return False
+        array = as_array(action)
+    except (TypeError, ValueError):
+        return None
+    known = array.shape == (2,) and array.dtype.kind in REAL
+    return array.astype(np.float64) if known else None
 
 
 class NavigationAECEnv(parallel_to_aec_wrapper[str, Observation, Action]):
@@ -232,13 +233,13 @@ class NavigationAECEnv(parallel_to_aec_wrapper[str, Observation, Action]):
         """
         if not getattr(self, "agents", None):
             raise StepError("step() before reset() or after the end: call reset() first")
-        agent = self.agent_selection
+        agent, numbers = self.agent_selection, _two_numbers(action)
         if self.terminations[agent] or self.truncations[agent]:
             if action is not None:
                 raise ActionError(f"{agent}: the episode has ended; allowed: None")
-        elif not _is_action(action) or not np.isfinite(as_array(action).astype(np.float64)).all():
+        elif numbers is None or not np.isfinite(numbers).all():
             raise ActionError(f"{agent}: {action!r:.80}; allowed: two finite numbers")
-        super().step(None if action is None else as_array(action).astype(np.float64))
+        super().step(numbers)
 
 
 class EnvSettings(FixedSettings, total=False):

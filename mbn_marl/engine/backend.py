@@ -15,7 +15,7 @@ from mbn_marl.engine.arguments import Arguments
 from mbn_marl.engine.state import Array, Geometry
 from mbn_marl.engine.step import make_scratch
 from mbn_marl.engine.tables import with_room
-from mbn_marl.engine.validation import as_array
+from mbn_marl.engine.validation import REAL, as_array
 from mbn_marl.errors import ActionError, StepError
 from mbn_marl.jit.compile import address_of
 
@@ -176,7 +176,7 @@ class Backend:
             raise ActionError(f"{name}: {error}; allowed: {allowed}") from None
 
     def _is_real(self, given: Any) -> bool:
-        return given.dtype.kind in "fiu"
+        return given.dtype.kind in REAL
 
     def _in_precision(self, given: Any) -> Any:
         if given.dtype.kind == "f" and not self._all_finite(given):

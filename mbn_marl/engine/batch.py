@@ -26,7 +26,15 @@ from mbn_marl.engine.state import Array, Episode
 from mbn_marl.engine.state_io import restore_worlds, save_worlds
 from mbn_marl.engine.tables import column_of, make_geometry, read_field, sampler_numbers, sizes_of
 from mbn_marl.engine.validation import Autoreset, Device
-from mbn_marl.errors import ActionError, ConfigError, MbnError, install, unknown
+from mbn_marl.errors import (
+    ActionError,
+    ConfigError,
+    FieldError,
+    MbnError,
+    collecting,
+    install,
+    unknown,
+)
 from mbn_marl.field import Field, FieldSampler, load_field
 from mbn_marl.field.generator.layout import Tables
 
@@ -282,19 +290,20 @@ class BatchEngine:
     def _column(self, world: int) -> int:
         return world if self._backend.geometry.field.codes.shape[0] > 1 else 0
 
-    def set_field(self, field: Field, world: int = 0, starts: ArrayLike | None = None) -> None:
+    def set_field(self, field: FieldLike, world: int = 0, starts: ArrayLike | None = None) -> None:
         """Give a world another field, right before its reset.
 
         With a sampler, the episodes after the next one have fields that are drawn again. A CUDA
         graph has to be captured again.
 
         Args:
-            field: of the same arena, with at most ``n_rois`` ROIs and a start for each robot.
+            field: a catalogue name, a file or a field, of the same arena, with at most ``n_rois``
+                ROIs and a start for each robot.
             world: its index.
             starts: where the robots start, (n, 2) units, instead of the field's own starts.
         """
         self._check_world(world)
-        given, vary = validation.as_starts(starts), self.teams_vary
+        field, given, vary = load_field(field), validation.as_starts(starts), self.teams_vary
         problems = validation.set_field_problems(field, self._sizes, self.config, vary, given)
         if self.num_worlds > 1 and len(self.fields) == 1:
             problems.append("field: one for all worlds; allowed: with a field for each, or 1 world")
@@ -314,9 +323,12 @@ class BatchEngine:
     def set_sampler(self, sampler: FieldSampler) -> None:
         """Draw fields by other numbers from the next resets on, at most as large as at first."""
         limits = self._sizes, self.config, self.teams_vary
-        problems = validation.set_sampler_problems(sampler, *limits)
         if self.sampler is None:
             problems = ["sampler: allowed in place of another one"]
+        elif not isinstance(sampler, FieldSampler):
+            problems = [f"sampler: {type(sampler).__name__}; allowed: a FieldSampler"]
+        else:
+            problems = validation.set_sampler_problems(sampler, *limits)
         if problems:
             raise ConfigError("set_sampler", problems)
         self.sampler, backend = sampler, self._backend
@@ -539,7 +551,13 @@ class BatchEngine:
 
         ``done`` and ``found``, (n, m) bool, are the ROIs that each robot knows to be done, and has
         found. ``heard``, (n, n) bool, is whether robot i received words of robot k in this step.
+
+        Raises:
+            ConfigError: ``knowledge`` is not ``"own"``.
         """
+        if self.config.knowledge != "own":
+            problem = f"knowledge: {self.config.knowledge!r}; allowed: 'own' for this"
+            raise ConfigError("configuration", [problem])
         now, n = self._backend.now, self.n_robots
         heard = np.empty((n, n), np.bool_)
         write_heard(self._backend.arguments, heard)
@@ -658,5 +676,12 @@ def _class_of(device: Device) -> type[Backend]:
 
 
 def _load_all(field: FieldLike | Sequence[FieldLike]) -> tuple[Field, ...]:
-    several = isinstance(field, Sequence) and not isinstance(field, str)
-    return tuple(load_field(one) for one in (field if several else [field]))  # type: ignore[union-attr,arg-type]
+    if not isinstance(field, Sequence) or isinstance(field, str):
+        return (load_field(field),)
+    loaded, problems = [], list[str]()
+    for one in field:
+        with collecting(problems):
+            loaded.append(load_field(one))
+    if problems:
+        raise FieldError("fields", problems)
+    return tuple(loaded)

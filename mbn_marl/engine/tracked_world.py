@@ -75,6 +75,11 @@ class TrackedWorld:
         self._limits = backend.geometry.team.limits.copy()
         self._limits[V_CLIP] = np.minimum(self._limits[V_CLIP], limit)
         self._allowed = np.ones(engine.n_robots, np.bool_)
+        self._commanded: tuple[int, int] | None = None  # the moment of the last command
+
+    @property
+    def _moment(self) -> tuple[int, int]:
+        return int(self.engine.episode_numbers[0]), int(self._backend.now.steps[0])
 
     def command(self, actions: ArrayLike) -> Command:
         """The first half of a step.
@@ -90,6 +95,7 @@ class TrackedWorld:
         velocities = np.empty((1, self.engine.n_robots, 2), self.engine.dtype)
         chooser = self._backend.arguments_with(self._limits)
         choose_velocities(chooser, forces, velocities, self._allowed)
+        self._commanded = self._moment
         return Command(velocities[0], self._allowed.copy(), self.engine.failed[0])
 
     def measure(self, positions: ArrayLike, velocities: ArrayLike) -> None:
@@ -101,7 +107,13 @@ class TrackedWorld:
         Args:
             positions: (n, 2), units, finite.
             velocities: (n, 2), units/step, finite.
+
+        Raises:
+            ActionError: an argument is not allowed.
+            StepError: there was no command since the last measurement, or the reset.
         """
+        if self._commanded != self._moment:
+            raise StepError("the robots have no command; allowed: command() first")
         shape, measured = (1, self.engine.n_robots, 2), []
         for name, given in (("positions", positions), ("velocities", velocities)):
             allowed = f"allowed: finite numbers of shape {shape[1:]}"

@@ -143,6 +143,9 @@ def set_sampler_problems(
     return problems + _decoy_problems(config, sampler.rois[0], "the sampler")
 
 
+REAL = "fiu"  # kinds of NumPy's real number types
+
+
 def as_array(value: Any) -> NDArray[Any]:
     """Return an array; a tensor without its graph, bfloat16 as float32."""
     if isinstance(value, np.ndarray) or not hasattr(value, "detach"):

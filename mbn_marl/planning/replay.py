@@ -38,7 +38,8 @@ class Player:
 
     def __init__(self, problem: Problem, visited: Sequence[int] = ()) -> None:
         # Another observation would be compiled and never read.
-        plain = {"observation": "relative", "assignment": False, "one_hot": False}
+        unread = ("observation", "assignment", "one_hot", "sensing_radius")
+        plain = {name: NavigationConfig.model_fields[name].default for name in unread}
         config = problem.config.model_copy(update=plain)
         settings = {name: getattr(config, name) for name in NavigationConfig.model_fields}
         self._engine = BatchEngine(problem.field, 1, autoreset="disabled", threads=1, **settings)

@@ -55,7 +55,7 @@ def trajectory_figure(last: Snapshot, title: str | None = None) -> Figure:
     # A hollow circle marks a start, a numbered disc the end of a path; the dots between are one
     # step apart, so that their distance shows the speed.
     figure, axes = _canvas(last.field, last.field.name if title is None else title)
-    maps.draw_field(axes, last.field, visited=last.visited, roi_radius=last.roi_radius)
+    _draw_map(axes, last, numbered=True)
     maps.draw_paths(axes, last)
     maps.draw_wind(axes, last)
     looks = {"ROI": maps.roi_marker(False), "ROI, visited": maps.roi_marker(True)}
@@ -152,8 +152,18 @@ def _panels(
     return figure, grid
 
 
+def _draw_map(axes: Axes, last: Snapshot, *, numbered: bool) -> None:
+    maps.draw_field(
+        axes,
+        last.field,
+        robots=len(last.failed),
+        visited=last.visited,
+        roi_radius=last.roi_radius,
+        numbered=numbered,
+    )
+
+
 def _draw_place(axes: Axes, last: Snapshot, title: str, *, numbered: bool) -> None:
-    radius = last.roi_radius
-    maps.draw_field(axes, last.field, visited=last.visited, roi_radius=radius, numbered=numbered)
+    _draw_map(axes, last, numbered=numbered)
     maps.draw_wind(axes, last, height=20.5, named="wind " not in title)
     axes.set_title(title, loc="left", fontsize=9.0)

@@ -36,6 +36,7 @@ def draw_field(
     axes: Axes,
     field: Field,
     *,
+    robots: int | None = None,
     visited: NDArray[np.bool_] | None = None,
     roi_radius: float = ROI_RADIUS,
     numbered: bool = True,
@@ -47,8 +48,8 @@ def draw_field(
     axes.add_patch(PathPatch(Path.make_compound_path(*rings), **look))
     seen = np.zeros(len(field.rois), bool) if visited is None else visited
     for number, ((x, y), done) in enumerate(zip(field.rois, seen, strict=True), start=1):
-        robots = np.flatnonzero(field.mine[:, number - 1])
-        only = " " + ",".join(map(str, robots)) if len(robots) < len(field.starts) else ""
+        may = field.mine[:robots, number - 1]
+        only = "" if may.all() else " " + ",".join(map(str, np.flatnonzero(may)))
         colour = style.ROI_VISITED if done else style.ROI_OPEN
         tint = (colour, 0.28 if done else 0.05)
         axes.add_patch(Circle((x, y), roi_radius, fc=tint, ec=colour, lw=0.7, zorder=2))

@@ -81,7 +81,7 @@ class Simulator(AbstractContextManager["Simulator"]):
         """Let the vehicles track ``velocities``, (n, 2) in units/step, from now on."""
 
     def fail(self, robot: int, kind: str) -> None:
-        """Let a vehicle fail for good; its later commands are those of mdp.md, "Failures"."""
+        """Let a vehicle fail for good; its later commands are those of failures.md."""
 
     @abstractmethod
     def step(self) -> None:

@@ -102,6 +102,7 @@ class TestBadInput:
             (np.zeros((2, 2)), "action: "),
             ([[0.0, 0.0], [0.0, np.nan], [0.0, 0.0]], "robot_1"),
             ("north", "action: "),
+            (np.ones(6, bool), "action: "),
             ([[0.0], [0.0, 1.0]], "action: "),
         ):
             with pytest.raises(ActionError, match=place):

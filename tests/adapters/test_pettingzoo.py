@@ -154,13 +154,19 @@ def test_the_aec_form_is_the_parallel_one():
 def test_a_wrong_action_is_refused_at_once_and_can_be_given_again():
     env = navigation_v0.env()
     env.reset(seed=0)
-    for bad in ([np.inf, 0.0], [0.0], None, [None, None], "north", [10**400, 0]):
+    for bad in ([np.inf, 0.0], [0.0], None, [None, None], "north", [10**400, 0], ("1", "0")):
         with pytest.raises(ActionError, match="robot_0: "):
             env.step(bad)
         assert env.agent_selection == "robot_0", bad
     for _ in env.possible_agents:
         env.step(np.zeros(2))
     assert env.rewards == {"robot_0": 9990.0, "robot_1": -10.0, "robot_2": 9990.0}
+    large = navigation_v0.env()
+    for one, force in ((env, 1.0), (large, 1e39)):  # above the range of float32: clipped
+        one.reset(seed=0)
+        for _ in one.possible_agents:
+            one.step([force, 0.0])
+    assert np.array_equal(env.state(), large.state())
 
 
 def test_the_order_of_calls_one_after_the_other():
@@ -189,6 +195,8 @@ def test_wrong_actions_name_the_robots_and_move_nothing():
         (still | {"robot_1": [np.nan, 0.0]}, ["robot_1"]),
         (still | {"robot_0": np.zeros((2, 1))}, ["robot_0"]),
         (still | {"robot_1": "north"}, ["robot_1"]),
+        (still | {"robot_2": ("0.5", "1")}, ["robot_2"]),
+        (still | {"robot_0": [1j, 0.0], "robot_1": (True, False)}, ["robot_0", "robot_1"]),
         ({agent: [0.0] * 3 for agent in env.agents}, ["robot_0", "robot_1", "robot_2"]),
         ({"robot_0": [0, 0], "robot_2": [0, 0], "robot_7": [0, 0]}, ["robot_1", "robot_7"]),
         ([[0, 0]] * 3, []),

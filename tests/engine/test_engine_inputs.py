@@ -235,10 +235,25 @@ def test_bad_fields() -> None:
         ([field, other], ConfigError, "arena"),
         ([], ConfigError, "field"),
         ([FIELD] * 4097, ConfigError, "field: 4097 fields; allowed: up to 4096"),
+        (["field_98", FIELD, "field_99"], FieldError, "field_98(.|\n)*field_99"),
         ("random_convex", FieldError, "random_convex: .*\n.*load_fields"),
     ):
         with pytest.raises(error, match=place):
             BatchEngine(given)
+
+
+def test_calls_that_do_not_fit_the_engine_are_refused() -> None:
+    engine, drawn = BatchEngine(FIELD, 1), BatchEngine(FieldSampler(), 1)
+    engine.set_field(FIELD)
+    calls: tuple[tuple[Callable[[], object], str], ...] = (
+        (lambda: engine.set_sampler(None), "sampler: allowed in place of another"),
+        (lambda: drawn.set_sampler(None), "sampler: NoneType; allowed"),
+        (engine.knowledge, "knowledge: 'team'; allowed: 'own'"),
+        (lambda: make_config({"assignment": "x"}), "known: False, True, fresh"),
+    )
+    for call, place in calls:
+        with pytest.raises(ConfigError, match=place):
+            call()
 
 
 @pytest.mark.parametrize(

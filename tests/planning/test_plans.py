@@ -147,7 +147,7 @@ def test_plans_do_not_compile_what_robots_would_see() -> None:
     config = make_config({"observation": "lidar", "one_hot": True, "reward_sharing": "team"})
     player = Player(make_problem(load_field("field_03"), config))
     assert player._engine.config.observation == "relative"
-    assert plan("field_03", observation="lidar", one_hot=True).optimal
+    assert plan("field_03", observation="lidar", one_hot=True, sensing_radius=50.0).optimal
 
 
 @pytest.mark.parametrize(("name", "steps"), [("field_03", 8), ("field_06", 31)])

@@ -147,6 +147,7 @@ def test_command_out_of_the_field_is_to_stay(tracked: tuple[BatchEngine, Tracked
 
 def test_vehicles_own_limit_bounds_its_commands(tracked: tuple[BatchEngine, TrackedWorld]) -> None:
     engine, world = tracked[0], TrackedWorld(tracked[0], speed_limit=2.0)
+    world.command(np.zeros((2, 2)))
     world.measure(SMALL.starts + 5.0, [(1.9, 0.0), (0.0, 4.0)])
     np.testing.assert_array_equal(world.command(np.ones((2, 2))).velocities, [(2, 0.5), (0.5, 2)])
     assert engine.config.v_clip == 5.0  # the observation's scale is the policy's
@@ -167,6 +168,9 @@ def test_wrong_measurements_and_numbers_are_errors(
     for positions in ([(1.0, 2.0)], np.full((2, 2), np.nan)):
         with pytest.raises(ActionError):
             world.measure(positions, np.zeros((2, 2)))
+    world.measure(SMALL.starts, np.zeros((2, 2)))
+    with pytest.raises(StepError, match=r"allowed: command\(\) first"):
+        world.measure(SMALL.starts, np.zeros((2, 2)))
     with pytest.raises(ActionError, match="actions: "):
         world.command([[1.0, 0.0], [1.0]])
     with pytest.raises(ConfigError, match="speed_limit: "):

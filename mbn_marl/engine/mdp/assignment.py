@@ -1,4 +1,4 @@
-"""The assignment of the ROIs that are left to robots, in an order (mdp.md, "Entities")."""
+"""The assignment of the ROIs that are left to robots, in an order (observations.md, "Entities")."""
 
 # ``Memory.plan`` has it, up to date at each observation. For n robots and m ROIs a world's numbers
 # are, in order: how far each robot goes in all (n), the ROI that each visits first (n), the robot

@@ -1,6 +1,6 @@
 """Wind, gusts, and noise, loss and delay of actions."""
 
-# The rules are those of mdp.md, "Disturbances".
+# The rules are those of conditions.md, "Disturbances".
 #
 # Source: Choton, Woods, Hsu, section 4, for the wind; the others are this package's.
 

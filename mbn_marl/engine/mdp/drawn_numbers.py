@@ -1,4 +1,4 @@
-"""Numbers of the configuration that each episode draws (mdp.md, "Drawn numbers")."""
+"""Numbers of the configuration that each episode draws (conditions.md, "Drawn numbers")."""
 
 # ``Episode.drawn`` has them for each world: what they are made into, then the numbers themselves.
 # If nothing is drawn, ``numbers_of`` and ``limits_in`` return the constants.

@@ -4,7 +4,7 @@
 # first entry of another robot or an ROI says whether it is there to be seen; if not, all its
 # entries are 0.
 #
-# Source: this package (mdp.md, "What a robot sees").
+# Source: this package (observations.md, "Entities").
 
 import math
 

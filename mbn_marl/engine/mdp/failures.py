@@ -1,4 +1,4 @@
-"""Robots that fail during an episode, or are not in the team (mdp.md, "Failures", "Fields")."""
+"""Robots that fail during an episode, or are not in the team (failures.md, fields.md)."""
 
 # Source: this package.
 

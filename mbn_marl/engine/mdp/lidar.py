@@ -3,7 +3,7 @@
 # An edge goes from a to b, and the field lies to its left; its ends are given as seen from the
 # robot. Only operations that every processor rounds alike are used.
 #
-# Source: this package; the paper's robots sense no walls (mdp.md, "What a robot sees").
+# Source: this package; the paper's robots sense no walls (observations.md).
 
 import math
 

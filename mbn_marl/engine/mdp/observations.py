@@ -7,8 +7,8 @@
 # ``put_...`` functions write entries from k on, or from 0 on, for worlds lo to hi - 1, and return
 # how many there are by then; ``put_flag``, ``put_heading`` and ``put_failed`` how many they wrote.
 #
-# Source: Choton, Woods, Hsu, section 3 (``state``); the others are this package's (mdp.md, "What a
-# robot sees").
+# Source: Choton, Woods, Hsu, section 3 (``state``); the others are this package's
+# (observations.md).
 
 from typing import NamedTuple, get_args
 
@@ -47,8 +47,6 @@ RELATIVE, STATE, LOCAL, LIDAR, LIDAR_LOCAL, ENTITIES = range(6)
 OBSERVATIONS = {name: number for number, name in enumerate(get_args(Observation))}
 LIDARS = ("lidar", "lidar_local")
 WITH_RAYS = (*LIDARS, "entities")
-# The observations that depend on the sensing radius.
-WITH_RADIUS = ("local", *WITH_RAYS)
 
 
 class Entry(NamedTuple):

@@ -1,4 +1,4 @@
-"""Shortest paths around corners, for the assignment (mdp.md, "Entities")."""
+"""Shortest paths around corners, for the assignment (observations.md, "Entities")."""
 
 # A field's waypoints lie off the corners at which it is not convex. The lengths of the shortest
 # ways between them and the ROIs are made when the field is put into a world; a robot adds the first
