@@ -97,11 +97,11 @@ class Report(Writes):
         from baselines.console import console
 
         page = is_page(self.out)
-        inputs = [run.resolve() for run in self.runs]
+        inputs, folder = [run.resolve() for run in self.runs], self.out.with_suffix("").resolve()
+        lost = any(folder in run.parents for run in inputs)
+        lost |= self.comparison and folder in inputs
         wrong = {
-            f"out: {self.out} would replace a RUN; choose another": self.comparison
-            and not page
-            and self.out.with_suffix("").resolve() in inputs,
+            f"out: {self.out} would replace a RUN; choose another": lost and not page,
             f"out: --paper writes a folder or .md, not {self.out}": page and self.paper,
             "kind: --paper or --comparison is needed, or an out that ends in .html": not page
             and self.paper == self.comparison,

@@ -105,7 +105,7 @@ def _cells(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 @dataclass(frozen=True)
-class Zoo:
+class Zoo(Writes):
     """List the trained policies that `mbn evaluate` and `mbn render` take as zoo:NAME."""
 
     add: Annotated[Path | None, arg(metavar="RUN")] = None
@@ -127,7 +127,7 @@ class Zoo:
         run = RunFolder.open(self.add)
         sampled, config = isinstance(run.fields, FieldSampler), run.config
         name = (config["label"] or config["algorithm"]) if sampled else run.field.name
-        print_cards([make_entry(run, self.out or ENTRIES / name)])
+        print_cards([make_entry(run, self.out or ENTRIES / name, force=self.force)])
 
 
 def print_cards(cards: Iterable[Mapping[str, Any]]) -> None:

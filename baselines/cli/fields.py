@@ -70,9 +70,17 @@ class Fields(Writes):
                 self.map and (self.generate or self.fields)
             ),
             f"count: at least 1, not {self.count}": self.count < 1,
+            f"generate: {', '.join(self.generate)}; allowed: each once": (
+                len({*self.generate}) < len(self.generate)
+            ),
             f"out: a name that ends in .yaml, not {self.out}": self.map and no_yaml,
         }
         check_options("fields", wrong)
+        if self.figure is not None:
+            from mbn_marl.files import check_free
+            from mbn_marl.render import figures
+
+            check_free(figures.check_name(self.figure), force=self.force)
 
     def _made(self) -> list[Field]:
         from mbn_marl.field import generate, load_map
@@ -124,5 +132,4 @@ class Fields(Writes):
 
         alone = len(fields) == 1
         figure = figures.field_figure(fields[0]) if alone else figures.fields_figure(fields)
-        place = claim_file(figures.check_name(path), force=self.force)
-        print(f"written to {figures.save(figure, place)}")
+        print(f"written to {figures.save(figure, claim_file(path, force=self.force))}")

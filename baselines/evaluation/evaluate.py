@@ -14,7 +14,7 @@ from mbn_marl.config import make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.episode import Episode, EpisodeRecorder
 from mbn_marl.field import Field, FieldSampler, Instance
-from mbn_marl.optimum import optimal_makespan
+from mbn_marl.optimum import VIEW, optimal_makespan
 
 # Seed of the evaluation episodes, the same for every run; those of training are others.
 EVALUATION_SEED = 1_000_003
@@ -108,7 +108,7 @@ def evaluate(
     bounds: list[int | None] = []
     fields: Any = place
     if isinstance(place, Sequence) and not isinstance(place, str):
-        bounds = [one.makespan_lower_bound for one in place] * episodes
+        bounds = [bound_of(one, settings) for one in place] * episodes
         episodes, fields = len(bounds), [one.field for one in place]
     engine = BatchEngine(fields, episodes, seed=seed, threads=1, **settings)
     running = np.ones(episodes, dtype=bool)
@@ -131,6 +131,14 @@ def evaluate(
         known = None if engine.sampler else optimal_makespan(engine.field_of(0), engine.config)
         bounds = [known] * episodes
     return Evaluation(deterministic, seed, **lists, bounds=bounds, recorded=recorded)
+
+
+def bound_of(frozen: Instance, settings: Mapping[str, Any]) -> int | None:
+    """Return a field's proved bound, ``None`` if settings change more than views and rewards."""
+    alike = dict.fromkeys((*VIEW, "reward", "n_robots", "max_steps"))
+    fixed = {"observation": "entities", **frozen.settings}  # which shows own knowledge
+    ours, theirs = (make_config(some).model_copy(update=alike) for some in (settings, fixed))
+    return frozen.makespan_lower_bound if ours == theirs else None
 
 
 def roll_out(

@@ -3,6 +3,8 @@
 import json
 import logging
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +53,7 @@ def export_policy(
     if not isinstance(policy.policy, TrainedPolicy):
         raise ConfigError("export", [f"{policy.name}: {ALLOWED}"])
     engine = BatchEngine(policy.place, 1, threads=1, **policy.settings)
+    policy.fit(engine)  # raises
     seen = _drawn(engine, policy.observes)
     before = policy.policy.blank(torch.from_numpy(seen))
     memory = {} if before is None else {MEMORY: before.numpy()}
@@ -60,8 +63,7 @@ def export_policy(
         **{"environment": policy.settings, "version": __version__},
         **{name: ["W", *past.shape[1:]] for name, past in memory.items()},
     }
-    logging.disable(logging.WARNING)  # the exporter warns of packages that it does not need here
-    with warnings.catch_warnings(action="ignore"):
+    with warnings.catch_warnings(action="ignore"), _quiet():
         program: Any = torch.onnx.export(
             Network(policy.policy).eval(),
             tuple(map(torch.from_numpy, (seen, *memory.values()))),
@@ -72,7 +74,6 @@ def export_policy(
             dynamo=True,
             verbose=False,
         )
-    logging.disable(logging.NOTSET)
     model = program.model_proto
     model.metadata_props.add(key="mbn_marl", value=json.dumps(metadata))
     content = model.SerializeToString()
@@ -92,6 +93,17 @@ def export_policy(
     with replacing(claim_file(path, force=force)) as temporary:
         temporary.write_bytes(content)
     return metadata, difference
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """The exporter warns of packages that it does not need here."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        yield
+    finally:
+        logging.disable(before)
 
 
 def _drawn(engine: BatchEngine, observes: str) -> NDArray[np.float32]:

@@ -12,6 +12,7 @@ from baselines.policies.policy import Origin, RandomPolicy, TrainedPolicy
 from baselines.runs.files import RunError, reading
 from baselines.runs.folder import RunFolder
 from mbn_marl.config import CONDITIONS, Condition, expand, make_config
+from mbn_marl.engine.validation import reset_problems
 from mbn_marl.episode import is_episode_file
 from mbn_marl.errors import ConfigError, FieldError, MbnError, unknown
 from mbn_marl.field import Field, catalogue_names, load_field
@@ -91,6 +92,8 @@ class Source:
         condition: Condition | None = None,
         **asked: Any,
     ) -> LoadedPolicy:
+        if problems := reset_problems(seed, 0):
+            raise ConfigError("policy", problems)
         place: Any = None if field is None else load_field(field)
         if place is None and self.name in (ZOO, *CLASSICAL):
             raise needs_field(self.name)

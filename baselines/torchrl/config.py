@@ -56,7 +56,8 @@ class MultiAgentPPOConfig(TrainingAids):
     # Initial logarithm of the actions' standard deviation: it depends on no state, one per axis.
     log_std_start: float
     # Its upper limit falls from the first value to the second: as far as halfway while ROIs shrink,
-    # then with time; without a curriculum with time alone, from this share of training on.
+    # then with time, from this share of training on. If ROIs never shrink success counts all the
+    # same, so the noise of a team that succeeds narrows sooner.
     log_std_cap: tuple[float, float]
     log_std_cap_from: Annotated[float, Field(ge=0.0, lt=1.0)]
     # The reward, as the learner sees it, of getting a unit nearer to the end of the team's ways. It

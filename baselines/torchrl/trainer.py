@@ -81,6 +81,9 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
         for name, applies, allowed, where in wrong
         if applies and (value := getattr(hyperparameters, name)) not in allowed
     ]
+    decisions = hyperparameters.num_worlds * hyperparameters.rollout_steps
+    if decisions < 2:
+        problems.append(f"num_worlds x rollout_steps: {decisions}; allowed: at least 2")
     seen, widths = settings.observation, list(hyperparameters.hidden)
     of_sets = {
         f"hidden: {widths}; allowed with network entities: two widths": len(widths) != 2,
@@ -263,13 +266,13 @@ class Trainer:
         shared = {
             name: tensor
             for name, tensor in self.network.mean.state_dict().items()
-            if name.startswith("encoder.") and values.get(name, tensor[:0]).shape == tensor.shape
+            if "encoder." in name and values.get(name, tensor[:0]).shape == tensor.shape
         }
         self.critic.values.load_state_dict({**values, **shared})
 
     def _narrowing(self, env_steps: int) -> float:
-        # The first half of the way follows the size of the ROIs, so that a team whose ROIs grow
-        # again explores; the second half follows the time.
+        # The first half of the way follows success, by the stages of the ROIs' size even if that is
+        # fixed, so that a team that fails again explores. The second half follows the time.
         stages = self.curriculum.stage / STAGES / 2
         return stages + (env_steps - self.grown) / self.task.config.steps
 

@@ -11,21 +11,23 @@ from baselines.runs.files import RunError, read_json, replacing_folder, write_js
 from baselines.runs.folder import RunFolder
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import catalogue_names, sampler_names, save_field
+from mbn_marl.files import free_name
 
 EPISODES = 100
 # Bytes of an entry's files together.
 LARGEST = 1_000_000
 
 
-def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
+def make_entry(run: RunFolder, path: Path, *, force: bool = False) -> dict[str, Any]:
     if not run.finished:
         raise RunError(f"{run.path} is not finished; resume it first (--resume)")
     config, field = run.config, run.config["field"]
     if field not in (known := [*catalogue_names(), *sampler_names()]):
         allowed = ", ".join(known)
         raise ConfigError(str(run.path), [f"field: {field}; allowed: {allowed}"])
-    if path.exists() and not (path / CARD).is_file():
-        raise RunError(f"{path} already exists, and is no entry of the zoo")
+    if path.exists() and not force:
+        allowed = "choose another --out, or pass --force to move it aside"
+        raise RunError(f"{path} already exists; {allowed}")
     card = make_card(run, path.name)
     for name in ("hyperparams", "transferred_from"):
         config[name] = None if config[name] is None else Path(config[name]).name
@@ -37,6 +39,8 @@ def make_entry(run: RunFolder, path: Path) -> dict[str, Any]:
         size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
         if size > LARGEST:
             raise ConfigError(str(run.path), [f"{size:,} bytes; allowed: up to {LARGEST:,}"])
+        if path.exists():
+            path.rename(free_name(path))
     return card
 
 

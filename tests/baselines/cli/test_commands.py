@@ -79,6 +79,9 @@ def test_train_records_the_run_and_evaluate_repeats_its_evaluation(
         ("fields field_03 --generate farm --count 0", ["generate: ", "count: "]),
         ("fields field_03 --from a.wkt --size 9 10 -o a.png", ["size: ", "from: ", "out: "]),
         ("fields --generate farm --metres-per-unit 2", ["metres_per_unit: "]),
+        ("fields --generate farm farm", ["generate: farm, farm"]),
+        ("fields --generate farm --out some --figure a.txt", ["a.txt"]),
+        ("evaluate greedy --field field_03 --seed -1", ["seed: -1"]),
         ("plan field_03 --write", ["write: "]),
         (f"plan {CATALOGUE}/field_03.yaml --wind 0.1 0 --write", ["write: "]),
         ("transfer ippo", ["settings: "]),
@@ -247,7 +250,7 @@ def test_fields_are_listed_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert ["field_03", "3", "6", "0", "4", "10,800", "17", "159,490"] in lines
     assert out.read_bytes().startswith(b"%PDF")
     assert main(["fields", "--figure", str(out)]) == 2
-    assert sum("field_" in line for line in capsys.readouterr().out.splitlines()) == 10
+    assert "field_" not in capsys.readouterr().out
 
 
 def test_random_fields_are_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

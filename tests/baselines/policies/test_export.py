@@ -18,6 +18,7 @@ from baselines.policies.export import OPSET, TOLERANCE, export_policy
 from baselines.policies.loaded import LoadedPolicy
 from mbn_marl import parallel_env
 from mbn_marl.errors import MbnError
+from mbn_marl.field import generate, save_field
 from tests.baselines.conftest import Refusal
 from tests.support.runs import TinyRuns
 
@@ -82,9 +83,11 @@ def test_what_cannot_be_exported_is_named(
     refusal: Refusal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     (tmp_path / "taken.onnx").touch()
+    save_field(generate("convex", 1, robots=2), tmp_path / "two.yaml")
     for words, place in (
         ("greedy -o policy.onnx", "greedy: "),
         ("zoo:generalist -o policy.onnx", "field: "),
+        ("zoo:field_07 --field two.yaml -o policy.onnx", "trained with 3, here it is 2"),
         ("zoo:field_07 -o policy.pt2", "policy.pt2: "),
         ("zoo:field_07 -o taken.onnx", "taken.onnx"),
     ):

@@ -15,7 +15,7 @@ from tensordict import TensorDict
 
 from baselines import load_policy
 from baselines.algorithms import Setting, find_algorithm
-from baselines.evaluation.evaluate import evaluate, unseen
+from baselines.evaluation.evaluate import bound_of, evaluate, unseen
 from baselines.torchrl import trainer
 from baselines.torchrl.config import load
 from baselines.torchrl.entities import SetActor, SetCritic, Tokens
@@ -321,6 +321,17 @@ def test_the_critic_begins_with_the_actors_encoder_and_learns_first() -> None:
     assert (critics[0] - first).abs().max() < 2e-3  # after one step of 0.0007
 
 
+def test_each_robots_critic_begins_with_its_actors_encoder(monkeypatch: pytest.MonkeyPatch) -> None:
+    small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1, **ALONE}
+    task, found = prepare(TrainConfig("ippo", "field_03", "G", hyperparameters=small, steps=96))
+    made = Trainer(task, found, SimpleNamespace(checkpoint=None))  # type: ignore[arg-type]
+    monkeypatch.setattr(trainer, "load_trained", lambda source: made)
+    made._begin_with(None)  # type: ignore[arg-type]
+    actor, critic = (one.state_dict() for one in (made.network.mean, made.critic.values))
+    names = [name for name in actor if "encoder." in name]
+    assert len(names) == 78 and all(torch.equal(actor[name], critic[name]) for name in names)
+
+
 def test_a_run_of_a_tier_has_its_settings_and_its_bounds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -334,6 +345,12 @@ def test_a_run_of_a_tier_has_its_settings_and_its_bounds(
     found = train(replace(asked, episodes=2), tmp_path / "run").evaluation["deterministic"]
     assert found["per_episode"]["bounds"] == [one.makespan_lower_bound for one in few["test"]]
     assert found["success_rate"] == 1.0
+    frozen = few["test"][0]
+    settings = {"observation": "entities", **frozen.settings}
+    for same in ({"comm_radius": 100.0, "reward": "formal", "max_steps": 500}, {}):
+        assert bound_of(frozen, {**settings, **same}) == frozen.makespan_lower_bound
+    for other in ({"tau": 2.0}, {"roi_radius": 20.0}, {"wind": (0.1, 0.0)}, {"empty_rois": ()}):
+        assert bound_of(frozen, {**settings, **other}) is None
     own = {"sensing_radius": 50.0, "comm_radius": 70.0, "decoys": 3}
     with pytest.raises(ConfigError) as caught:
         prepare(replace(asked, environment=own))
@@ -342,6 +359,7 @@ def test_a_run_of_a_tier_has_its_settings_and_its_bounds(
 
 
 ALONE = {"sharing": "none"}
+ONE_DECISION = {"num_worlds": 1, "rollout_steps": 1}
 OTHER = {"hidden": (8, 8), "sharing": "none", "network": "mlp"}
 NAMED = [f"hyperparameters.{name}" for name in ("network", "hidden", "sharing")]
 
@@ -354,6 +372,7 @@ NAMED = [f"hyperparameters.{name}" for name in ("network", "hidden", "sharing")]
         ("mappo", "field_03", "G", {**ALONE, "hidden": [64]}, ["hidden"]),
         ("ippo", "random_convex", "G", {**ALONE, "critic": "state"}, ["critic", "sharing"]),
         ("ppo-joint", "field_03", "G", {"environment": {"knowledge": "own"}}, ["actor"]),
+        ("mappo", "field_03", "N", ONE_DECISION, ["num_worlds x rollout_steps"]),
         ("mappo", "random_convex", "N", {}, ["field"]),
         ("ppo", "random_convex", "N", {}, ["field"]),
         ("mappo", "field_03", "G", OTHER, ["observation", "robots", "ROIs", "arena", *NAMED]),

@@ -87,8 +87,11 @@ def test_an_entry_is_made_again_and_nothing_else_is_replaced(
 ) -> None:
     entry, mine = zoo / "tiny", tmp_path / "mine"
     (entry / "field.yaml").unlink()
-    assert main(["zoo", "--add", str(run.path), "--out", str(entry)]) == 0
-    assert (entry / "field.yaml").is_file()
+    again = ["zoo", "--add", str(run.path), "--out", str(entry)]
+    assert "--force" in refusal(again)
+    assert main([*again, "--force"]) == 0
+    assert (entry / "field.yaml").is_file() and (zoo / "tiny.1" / "card.json").is_file()
+    shutil.rmtree(zoo / "tiny.1")
     mine.mkdir()
     (mine / "dear").touch()
     with pytest.raises(RunError, match="mine"):
