@@ -39,8 +39,8 @@ class Evaluate(Subject):
         from baselines.evaluation.evaluate import (
             EVALUATION_SEED,
             evaluate_both,
+            extremes,
             is_one_episode,
-            record_evaluation,
         )
         from baselines.policies.load import find_policy, is_trained, open_run
         from baselines.policies.shielded import Shielded, behind
@@ -62,6 +62,8 @@ class Evaluate(Subject):
             claim_folder(self.record, force=self.force)
         where = policy, actor.place, actor.settings
         how: dict[str, Any] = {"episodes": self.episodes, "seed": seed}
+        if self.record is not None:
+            how |= {"record": range(self.episodes), "source": f"{title}, sampled actions"}
         results = evaluate_both(*where, **how)
         one = partial(is_one_episode, policy, actor.settings)
         summaries = {name: result.summary() for name, result in results.items()}
@@ -72,8 +74,7 @@ class Evaluate(Subject):
             episodes = {name: result.to_json() for name, result in results.items()}
             write_json(claim_file(self.json, force=self.force), {**heading, **episodes})
         if self.record is not None:
-            source = title if self.field else f"{title}, sampled actions"
-            recorded = record_evaluation(*where, **how, source=source)
+            recorded = extremes(results["stochastic"])
             for name, episode in recorded.items():
                 named = replace(episode, source=f"{episode.source}, {name}")
                 save_episode(named, self.record / f"{name}.json")

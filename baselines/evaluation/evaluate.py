@@ -181,12 +181,8 @@ def is_one_episode(policy: Policy, settings: Mapping[str, Any], *, deterministic
     return not (make_config(settings).is_random or policy.draws(deterministic=deterministic))
 
 
-def record_evaluation(
-    policy: Policy, field: Field, settings: Mapping[str, Any], *, episodes: int, **how: Any
-) -> dict[str, Episode]:
-    """Return the ``best``, ``median`` and ``worst`` episode of :func:`evaluate`, by return."""
-    how |= {"episodes": episodes, "record": range(episodes)}
-    evaluation = evaluate(policy, field, settings, **how)
+def extremes(evaluation: Evaluation) -> dict[str, Episode]:
+    """Return the ``best``, ``median`` and ``worst`` episode, by return, if all were recorded."""
     order = np.argsort(evaluation.returns, kind="stable")
     worlds = {"best": order[-1], "median": order[len(order) // 2], "worst": order[0]}
     return {name: evaluation.recorded[world] for name, world in worlds.items()}

@@ -102,8 +102,7 @@ class SB3Policy(TrainedPolicy):
         """Actions (worlds, n, 2) for states (worlds, 4n+1) or observations (worlds, n, size)."""
         rows = seen.reshape(-1, self.shape["obs_size"])
         rows = rows if self.normalization is None else self.normalization(rows)
-        with torch.autocast("cpu", enabled=False):  # predict() wants what NumPy has a type for
-            actions, _ = self.network.predict(rows, deterministic=deterministic)
+        actions, _ = self.network.predict(rows, deterministic=deterministic)
         return np.asarray(actions.reshape(len(seen), -1, 2))
 
     def step(self, seen: torch.Tensor, past: torch.Tensor | None) -> Step:

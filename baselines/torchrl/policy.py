@@ -51,7 +51,7 @@ class TeamPolicy(TrainedPolicy):
         mean, self._past = self.step(rows, past if fits else self.blank(rows))
         mean, std = mean.cpu(), std.cpu()  # the noise is the same, whatever the device
         actions = mean if deterministic else mean + std * torch.randn(mean.shape)
-        return actions.float().numpy()  # under autocast they are bfloat16
+        return actions.numpy()
 
     def blank(self, seen: torch.Tensor) -> torch.Tensor | None:
         return self.network.nothing(seen) if self.network.shape.memory else None

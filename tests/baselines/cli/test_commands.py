@@ -238,7 +238,7 @@ def test_evaluate_records_its_best_median_and_worst(tmp_path: Path) -> None:
     found = [load_episode(out / f"{name}.json") for name in ("worst", "median", "best")]
     assert [one.team_return for one in found] == [returns[0], returns[2], returns[4]]
     assert [one.source for one in found] == [
-        f"random in field_07, {name}" for name in ("worst", "median", "best")
+        f"random in field_07, sampled actions, {name}" for name in ("worst", "median", "best")
     ]
     assert main(command) == 2, "the folder is there already"
 
