@@ -13,6 +13,9 @@ from baselines.training.config import read_block, read_blocks, validate
 SOURCE = Path(__file__).with_name("hyperparameters.yaml")
 
 
+Size = Annotated[int, Field(ge=1, le=65_536)]  # of arrays that have to fit in memory
+
+
 class MultiAgentPPOConfig(TrainingAids):
     """Everything about the learner. A pair ``(a, b)`` is interpolated linearly over training."""
 
@@ -23,8 +26,8 @@ class MultiAgentPPOConfig(TrainingAids):
     # robot's own observation. The first two are one network, with a value for each robot.
     critic: Critic
     # Worlds stepped side by side, and decisions of each between two updates.
-    num_worlds: Count
-    rollout_steps: Count
+    num_worlds: Size
+    rollout_steps: Size
     # Passes over a rollout, and minibatches of a pass.
     epochs: Count
     minibatches: Count
@@ -33,7 +36,7 @@ class MultiAgentPPOConfig(TrainingAids):
     network: Network
     # Widths of the hidden layers of actor and critic (tanh). A network over sets has two: of its
     # tokens, and of what follows.
-    hidden: tuple[Count, ...]
+    hidden: tuple[Size, ...]
     # "none": a network for each robot. "groups": one for all that are alike in dynamics, mass,
     # force, speed limit and kind. "full": one for all robots. "full+id", "full+traits": one that
     # also gets the robot's number (one-hot), or its traits and the others'.
