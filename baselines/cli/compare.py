@@ -95,11 +95,14 @@ class Report(Writes):
         from baselines.compare.report import is_page, report_comparison
         from baselines.compare.tables import print_comparison
         from baselines.console import console
+        from baselines.runs.files import Place
 
         page = is_page(self.out)
-        inputs, folder = [run.resolve() for run in self.runs], self.out.with_suffix("").resolve()
-        lost = any(folder in run.parents for run in inputs)
-        lost |= self.comparison and folder in inputs
+        inputs = [run.resolve() for run in self.runs]
+        folder = Place.of(self.out, "").folder.resolve()
+        # An earlier report of the paper has no runs in it, and may be replaced.
+        holds_runs = self.comparison or any(folder.rglob("config.json"))
+        lost = any(folder in run.parents for run in inputs) or (folder in inputs and holds_runs)
         wrong = {
             f"out: {self.out} would replace a RUN; choose another": lost and not page,
             f"out: --paper writes a folder or .md, not {self.out}": page and self.paper,

@@ -63,7 +63,8 @@ class Evaluate(Subject):
         where = policy, actor.place, actor.settings
         how: dict[str, Any] = {"episodes": self.episodes, "seed": seed}
         if self.record is not None:
-            how |= {"record": range(self.episodes), "source": f"{title}, sampled actions"}
+            drawn = ", sampled actions" if policy.draws(deterministic=False) else ""
+            how |= {"record": range(self.episodes), "source": title + drawn}
         results = evaluate_both(*where, **how)
         one = partial(is_one_episode, policy, actor.settings)
         summaries = {name: result.summary() for name, result in results.items()}

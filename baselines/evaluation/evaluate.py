@@ -189,9 +189,17 @@ def extremes(evaluation: Evaluation) -> dict[str, Episode]:
 
 
 def evaluate_both(
-    policy: Policy, field: Field | FieldSampler, settings: Mapping[str, Any], **how: Any
+    policy: Policy,
+    field: Field | FieldSampler,
+    settings: Mapping[str, Any],
+    *,
+    record: Iterable[int] = (),
+    source: str = "",
+    **how: Any,
 ) -> dict[str, Evaluation]:
+    """Evaluate with sampled actions, whose episodes may be recorded, and with mean ones."""
+    where = policy, field, settings
     return {
-        name: evaluate(policy, field, settings, deterministic=name == "deterministic", **how)
-        for name in ("stochastic", "deterministic")
+        "stochastic": evaluate(*where, record=record, source=source, **how),
+        "deterministic": evaluate(*where, deterministic=True, **how),
     }

@@ -26,7 +26,8 @@ ZOO = "zoo"
 
 
 def entry_names() -> list[str]:
-    return sorted(path.parent.name for path in ENTRIES.glob(f"*/{CARD}"))
+    found = [path.parent for path in ENTRIES.glob(f"*/{CARD}")]
+    return sorted(entry.name for entry in found if not entry.suffix)  # .1 was moved aside
 
 
 def open_run(source: str) -> RunFolder:

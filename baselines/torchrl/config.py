@@ -44,7 +44,7 @@ class MultiAgentPPOConfig(TrainingAids):
     # The same of the critic, by default as the actor's.
     critic_sharing: Sharing | None = None
     # Units of a GRU cell behind the encoders of actor and critic, 0 for none.
-    memory: Annotated[int, Field(ge=0)] = 0
+    memory: Annotated[int, Field(ge=0, le=65_536)] = 0
     learning_rate: tuple[Positive, Positive]
     adam_epsilon: Positive
     # The gradient of actor and critic together is clipped to this norm.

@@ -50,6 +50,7 @@ MINIMISED = ("loss_critic", "loss_objective", "loss_entropy")
 # A run that begins with another one's actor learns its values first, in so many rollouts: an
 # untrained critic would ruin the actor.
 CRITIC_FIRST = 5
+MOST_DECISIONS = 2**26  # of a rollout, that has to fit in memory
 LOGGED = ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction")
 
 
@@ -82,8 +83,9 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
         if applies and (value := getattr(hyperparameters, name)) not in allowed
     ]
     decisions = hyperparameters.num_worlds * hyperparameters.rollout_steps
-    if decisions < 2:
-        problems.append(f"num_worlds x rollout_steps: {decisions}; allowed: at least 2")
+    if not 2 <= decisions <= MOST_DECISIONS:
+        allowed = f"allowed: 2 to {MOST_DECISIONS:,}"
+        problems.append(f"num_worlds x rollout_steps: {decisions:,}; {allowed}")
     seen, widths = settings.observation, list(hyperparameters.hidden)
     of_sets = {
         f"hidden: {widths}; allowed with network entities: two widths": len(widths) != 2,

@@ -95,6 +95,8 @@ class Infos:
         return np.column_stack([self._engine.team_infos(), *self._team_wide(ended)])
 
     def _team_wide(self, ended: NDArray[np.bool_]) -> list[NDArray[Any]]:
+        if self.keys[-1] == GAP:  # nothing is drawn
+            return [self._gaps(ended)]
         drawn = self._engine.drawn()
         if self._engine.autoreset == "same_step":
             final = self._engine.final_drawn()

@@ -187,7 +187,8 @@ class Backend:
             )
         if given.dtype == self.real and given.flags.c_contiguous:
             return given
-        return np.clip(given, -1, 1, out=self._actions, casting="unsafe")
+        # As np.clip, which takes twice as long.
+        return np.minimum(np.maximum(given, -1.0), 1.0, out=self._actions, casting="unsafe")
 
     def _all_finite(self, actions: Array) -> bool:
         if actions.dtype not in (np.float32, np.float64) or not actions.flags.c_contiguous:

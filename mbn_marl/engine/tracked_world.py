@@ -110,7 +110,7 @@ class TrackedWorld:
 
         Raises:
             ActionError: an argument is not allowed.
-            StepError: there was no command since the last measurement, or the reset.
+            StepError: there is no command for this step of the episode.
         """
         if self._commanded != self._moment:
             raise StepError("the robots have no command; allowed: command() first")

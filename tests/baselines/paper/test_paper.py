@@ -206,8 +206,9 @@ def test_of_two_runs_of_a_cell_the_finished_one_is_taken(tmp_path: Path) -> None
 @pytest.mark.parametrize("kind", ["--comparison", "--paper"])
 def test_a_report_never_moves_its_runs_aside(kind: str, tmp_path: Path, refusal: Refusal) -> None:
     run = make_run(tmp_path / "all" / "one", [(1, 0, 0, 0, 0)])
-    words = ["report", kind, str(run), "-o", str(tmp_path / "all"), "--force"]
-    assert "would replace a RUN" in refusal(words) and run.is_dir()
+    for given in (run, run.parent):
+        words = ["report", kind, str(given), "-o", str(run.parent), "--force"]
+        assert "would replace a RUN" in refusal(words) and run.is_dir()
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,7 @@ def test_an_entry_is_made_again_and_nothing_else_is_replaced(
     assert "--force" in refusal(again)
     assert main([*again, "--force"]) == 0
     assert (entry / "field.yaml").is_file() and (zoo / "tiny.1" / "card.json").is_file()
-    shutil.rmtree(zoo / "tiny.1")
+    assert load.entry_names() == ["tiny"]
     mine.mkdir()
     (mine / "dear").touch()
     with pytest.raises(RunError, match="mine"):
