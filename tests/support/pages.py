@@ -8,6 +8,7 @@ import shlex
 import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import chdir
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -132,7 +133,7 @@ def check_command(words: Sequence[str]) -> None:
 
 
 def run_page(page: Path, folder: Path) -> None:
-    """Run a page's Python, which shares its names, with ``folder`` as the working directory.
+    """Run a page's Python, which shares its names, in ``folder``, or in the checkout it needs.
 
     Of its commands only ``mbn export`` is run, since the Python after it reads the file.
     """
@@ -141,7 +142,8 @@ def run_page(page: Path, folder: Path) -> None:
         if block.language in ("python", "yaml"):
             write_file(block, folder)
         if block.language == "python":
-            exec(compile(block.text, str(page), "exec"), names)
+            with chdir(ROOT if block.needs == "checkout" else folder):
+                exec(compile(block.text, str(page), "exec"), names)
         for words in commands_of(block) if block.language == "sh" else ():
             if words[:2] == ["mbn", "export"]:
                 assert main(words[1:]) == 0
