@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 
 from baselines.compare.text_table import TextTable
 from baselines.evaluation.intervals import Interval, mean_interval
-from baselines.runs.files import read_json, read_text, write_text
+from baselines.runs.files import RunError, read_json, read_text, write_text
 from benchmarks.leaderboard import SPLIT
 from mbn_marl.field import load_split, splits
 
@@ -38,7 +38,10 @@ class Tables:
     """With the pages, STUDY/runs.csv, and results of `mbn benchmark`."""
 
     def run(self, command: str) -> bool:
-        for page in sorted(self.folder.glob("*.md")):
+        pages = sorted(self.folder.glob("*.md"))
+        if not pages:
+            raise RunError(f"{self.folder}: no pages; allowed: a folder with some, docs/results")
+        for page in pages:
             if (filled := fill(page)) != read_text(page):
                 write_text(page, filled)
                 print(f"written to {page}")

@@ -62,7 +62,7 @@ class Checked(BaseModel):
 
     if not TYPE_CHECKING:  # type checkers know the arguments from the fields
 
-        def __init__(self, **values: Any) -> None:
+        def __init__(self, /, **values: Any) -> None:
             try:
                 super().__init__(**values)
             except ValidationError as error:
@@ -96,7 +96,7 @@ class Uniform(Checked):
     high: Annotated[RealNumber, Field(allow_inf_nan=False)]
     """The upper end, in the unit of the setting, at least ``low``."""
 
-    def __init__(self, low: Any = None, high: Any = None, **others: Any) -> None:
+    def __init__(self, /, low: Any = None, high: Any = None, **others: Any) -> None:
         super().__init__(**{"low": low, "high": high, **others})
 
     @field_validator("high")
@@ -159,7 +159,8 @@ PositiveOfEach = Annotated[float | tuple[float, ...], or_each(AnyPositive)]
 Reach = Annotated[RealNumber, Field(ge=0.0), AfterValidator(lambda radius: min(radius, MOST))]
 _Few = Annotated[WholeNumber, Field(ge=0, lt=MAX_ROIS)]
 _Range = Annotated[tuple[_Few, _Few], AfterValidator(_ordered)]
-FewOrRange = Annotated[int | tuple[int, int], _or_other(_Few, _Range, _DRAWN, (tuple, list))]
+_None = AfterValidator(lambda count: 0 if count == (0, 0) else count)
+FewOrRange = Annotated[int | tuple[int, int], _or_other(_Few, _Range, _DRAWN, (tuple, list)), _None]
 # A number, or the range that each episode draws it from.
 Number = float | Uniform
 

@@ -20,12 +20,13 @@ ROUNDING = 1e-3
 
 
 def optimal_makespan(field: Field, config: NavigationConfig | None = None) -> int | None:
-    """Return the least number of steps of a success, ``None`` if it is not proved.
+    """Return the least number of steps of a clean success, ``None`` if it is not proved.
 
-    It is proved for the default dynamics, the released rewards and the field's own starts and
-    team. ``config`` is that of the environment; ``None`` is the default one. An ``action_delay``
-    adds its steps, in which the robots rest, if no ROI is in reach of a start. There is none within
-    a ``max_steps`` below it.
+    In a clean one no robot pushes outside the field, which can save steps. It is proved for the
+    default dynamics, the released rewards and the field's own starts and team. ``config`` is that
+    of the environment; ``None`` is the default one. An ``action_delay`` adds its steps, in which
+    the robots rest, if no ROI is in reach of a start. There is none within a ``max_steps`` below
+    it.
     """
     config = config or DEFAULT
     comparable = config.model_copy(

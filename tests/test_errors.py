@@ -8,9 +8,9 @@ from baselines.algorithms import find_algorithm
 from baselines.policies.load import open_run
 from baselines.sweep.spec import GridSpec
 from baselines.training.config import validate
-from mbn_marl.config import make_config
+from mbn_marl.config import Uniform, make_config
 from mbn_marl.errors import ConfigError, MbnError
-from mbn_marl.field import load_field, load_split
+from mbn_marl.field import FieldSampler, load_field, load_split
 
 GRID = {"store": "runs", "algorithms": ["ppo"], "seeds": [0], "budget": {"stepss": 1}}
 
@@ -35,6 +35,12 @@ def test_every_lookup_by_name_says_what_may_be_meant() -> None:
         assert f"did you mean {meant}" in str(caught.value)
     known = str(caught.value).split("known: ")[1]
     assert known == "steps, evaluate_every, episodes", "only those of its level"
+
+
+def test_a_setting_may_be_named_as_an_argument_of_python() -> None:
+    for take in (make_config, lambda names: FieldSampler(**names), lambda names: Uniform(**names)):
+        with pytest.raises(ConfigError, match="self: unknown name"):
+            take({"self": 1})
 
 
 @pytest.mark.parametrize("algorithm", ["crossq", "mappo"])

@@ -15,7 +15,6 @@ from baselines.compare.variants import CompareConfig, read_variants
 
 if TYPE_CHECKING:
     from baselines.compare.records import Results
-    from baselines.runs.folder import RunFolder
 
 WRITTEN = "comparison.md, comparison.json, table.csv, runs.csv, curves.csv, figures, runs"
 
@@ -64,7 +63,7 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Resul
     print(f"{len(config.runs())} runs of {config.steps:,} env-steps")
     with progress_bars([run.name for run in config.runs()], config.steps) as show:
         results = train_all_runs(config, out, listener=show, **options)
-    print_comparison(write_comparison(results, Place.of(out, PAGE)), console())
+    print_comparison(write_comparison(results, Place(out / PAGE, out)), console())
     if results.broken:
         errors = "\n".join(results.broken.values())
         raise RunError(f"{out / PAGE} leaves out the variants of runs that diverged:\n{errors}")
@@ -197,25 +196,24 @@ class Runs:
     def run(self, command_line: str) -> None:
         from baselines.compare.text_table import TextTable
         from baselines.runs.discover import run_folders
-        from baselines.runs.folder import RunFolder
 
-        lines = [
-            line_of(RunFolder.open(path)) for path in run_folders(self.folders, comparisons=True)
-        ]
+        lines = [line_of(path) for path in run_folders(self.folders, comparisons=True)]
         headings = ("run", "algorithm", "field", "seed", "state", "success", "makespan")
         caption = "sampled actions in the final evaluation, or the last one so far"
         TextTable(caption, headings, lines, words=5).print("runs")
 
 
-def line_of(run: RunFolder) -> tuple[str, ...]:
+def line_of(path: Path) -> tuple[str, ...]:
     from baselines.compare.text_table import shown
     from baselines.runs.files import reading
+    from baselines.runs.folder import RunFolder
     from mbn_marl.errors import MbnError
 
     here = Path.cwd()
-    name = str(run.path.relative_to(here) if run.path.is_relative_to(here) else run.path)
+    name = str(path.relative_to(here) if path.is_relative_to(here) else path)
     try:
-        with reading(run.path):
+        run = RunFolder.open(path)
+        with reading(path):
             asked, last = run.config, {"success_rate": None, "makespan": None}
             if run.finished:
                 last = run.evaluation["stochastic"]
@@ -225,4 +223,4 @@ def line_of(run: RunFolder) -> tuple[str, ...]:
             who = str(asked["algorithm"]), Path(asked["field"]).stem, str(asked["seed"])
             return name, *who, run.state, *cells
     except MbnError as error:
-        return name, "-", "-", "-", str(error).removeprefix(f"{run.path}/"), "-", "-"
+        return name, "-", "-", "-", str(error).removeprefix(f"{path}/"), "-", "-"

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from mbn_marl.sim3d import Deployment, Scale, Simulator
 
 MOST_SPEEDS = 100
+COPPELIA = "coppeliasim"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +118,16 @@ class Deploy(InWeather):
             "wind: allowed without --wind-speeds": self.wind_speeds and self.wind,
             f"wind_speeds: allowed without --condition {self.condition}, which has wind": blown,
         }
+        needed = {
+            **{"vehicle": ("mujoco", self.sim != "plane"), "camera": ("--video", self.video)},
+            "wind_angle": ("--wind-speeds", self.wind_speeds),
+            **dict.fromkeys(("host", "port", "timeout"), (COPPELIA, self.sim == COPPELIA)),
+        }
+        wrong |= {
+            f"{name}: allowed with {what}": not there
+            and getattr(self, name) != getattr(Deploy, name)
+            for name, (what, there) in needed.items()
+        }
         check_options("deployment", wrong)
         if self.figure is not None:
             check_name(self.figure)
@@ -157,7 +168,7 @@ class Deploy(InWeather):
             figures.save(figures.overlay_panels(lasts, ("plane", self.sim)), path)
             return
         panels = {
-            f"{one.episode.field.name}, {name}, wind {one.episode.config.wind[0]:g}": last(one)
+            f"{one.episode.field.name}, {name}, wind {one.config.wind[0]:g}": last(one)
             for flown in flights
             for name, sweep in flown.items()
             for one in sweep
@@ -246,16 +257,16 @@ def sweep_wind(
 def strongest_wind(sweep: Sequence[Deployment]) -> float | None:
     """Return the largest wind speed with success in it and in all weaker ones of a sweep."""
     good = takewhile(lambda one: one.success, sweep)
-    return max((one.episode.config.wind[0] for one in good), default=None)
+    return max((one.config.wind[0] for one in good), default=None)
 
 
 def summarise(deployment: Deployment, scale: Scale) -> dict[str, Any]:
     episode, taken = deployment.episode, deployment.seconds
-    simulated = episode.steps * episode.config.tau * scale.seconds
+    simulated = episode.steps * deployment.config.tau * scale.seconds
     own = ("success", "makespan", "wall_hits", "separation", "tracking_error")
     return {
         "field": episode.field.name,
-        **dict(zip(("wind_speed", "wind_angle"), episode.config.wind, strict=True)),
+        **dict(zip(("wind_speed", "wind_angle"), deployment.config.wind, strict=True)),
         **{name: getattr(episode, name) for name in ("outcome", "steps", "rois_visited")},
         **{name: getattr(deployment, name) for name in own},
         "return": episode.team_return,

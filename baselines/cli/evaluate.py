@@ -45,12 +45,13 @@ class Evaluate(Subject):
         from baselines.policies.load import find_policy, is_trained, open_run
         from baselines.policies.shielded import Shielded, behind
         from baselines.runs.files import claim_folder, write_json
+        from mbn_marl.engine.validation import reset_problems
         from mbn_marl.episode import save_episode
         from mbn_marl.files import check_free, claim_file
 
-        few = self.episodes < 1
-        check_options("evaluation", {f"episodes: at least 1, not {self.episodes}": few})
         seed = EVALUATION_SEED if self.seed is None else self.seed
+        wrong = {f"episodes: at least 1, not {self.episodes}": self.episodes < 1}
+        check_options("evaluation", wrong | dict.fromkeys(reset_problems(seed, 0), True))
         actor = find_policy(self.source, self.field, seed=seed, **self.asked)
         if is_trained(self.source) and (unfinished := open_run(self.source).unfinished):
             print(unfinished)

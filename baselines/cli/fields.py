@@ -43,10 +43,16 @@ class Fields(Writes):
     """Draw them in this file (.png, .pdf or .svg), side by side."""
 
     def run(self, command_line: str) -> None:
+        from mbn_marl.errors import FieldError, collecting
         from mbn_marl.field import catalogue_names, load_field
 
         self._check()
-        fields = self._made() or [load_field(name) for name in self.fields or catalogue_names()]
+        fields, problems = self._made(), list[str]()
+        for name in self.fields or (() if fields else catalogue_names()):
+            with collecting(problems):
+                fields.append(load_field(name))
+        if problems:
+            raise FieldError("fields", problems)
         self._print(fields)
         if self.out is not None:
             random = [self.out / f"{field.name}.yaml" for field in fields]

@@ -106,14 +106,17 @@ def write_optimum(path: Path, makespan: int | None) -> None:
     from mbn_marl.field import load_field
     from mbn_marl.files import replacing
 
-    text = path.read_text(encoding="utf-8")
+    path = path.resolve()  # a link stays one
+    text = path.read_bytes().decode()
+    end = "\r\n" if "\r\n" in text else "\n"
     line = f"optimal_makespan: {makespan}"
     new, count = re.subn(r"^optimal_makespan:[ \t]*[\w~]*", line, text, count=1, flags=re.MULTILINE)
     if not count:
-        new = f"{text.removesuffix(chr(10))}\n{line}\n"
+        new = f"{text.removesuffix(end)}{end}{line}{end}"
     try:
         with replacing(path) as temporary:
-            temporary.write_text(new, encoding="utf-8")
+            temporary.write_bytes(new.encode())
+            temporary.chmod(path.stat().st_mode)
             if load_field(temporary).optimal_makespan != makespan:
                 raise FieldError(str(path), ["another field"])
     except FieldError:

@@ -43,7 +43,7 @@ class Tune(Writes):
     out: OptionalOutput = None
     """The folder of the study; by default runs/tune-ALGO-FIELD."""
     resume: bool = False
-    """Continue the study that is there; a trial that was interrupted is run again."""
+    """Continue the study that is there; another trial replaces one that was interrupted."""
 
     def run(self, command_line: str) -> None:
         from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import time
@@ -142,13 +143,16 @@ def run_benchmark(
         ConfigError: the policy fits no tier, or its settings change the task (SettingsError).
         RunError: there is no such policy, it failed, or ``out`` has a result of other settings.
     """
-    protocol, path = load_protocol(), out / RESULT
+    protocol, path, loaded = load_protocol(), out / RESULT, Source(source)
     asked = {"protocol": protocol.version, "splits": protocol.splits, "policy": source}
     asked |= {"shield": shield, "split": split, "asked": [*tiers]}
+    if loaded.run is not None:  # a run that has trained on is another policy
+        weights = sorted(loaded.run.policy.glob("*.safetensors"))
+        digest = hashlib.sha256(b"".join(path.read_bytes() for path in weights))
+        asked["weights"] = digest.hexdigest()
     record: dict[str, Any] = {**asked, "command": command, "versions": versions(), "tiers": {}}
     if resume and path.exists():
         record = _resumed(path, record, asked)
-    loaded = Source(source)
     if loaded.run is not None:  # with settings that are the same in all fields
         for first, *_ in tiers.values():
             settings = loaded.make(condition="calm", **first.settings).settings

@@ -208,7 +208,15 @@ def find_records(
     for run in runs:
         if some and run not in some:
             note(f"left out: {run.path}, trained on random fields")
-    return [RunRecord.read(run, finished=finished) for run in some or runs]
+    records, problems = list[RunRecord](), list[str]()
+    for run in some or runs:
+        try:
+            records.append(RunRecord.read(run, finished=finished))
+        except RunError as error:
+            problems.append(str(error))
+    if problems:
+        raise RunError("\n".join(problems))
+    return records
 
 
 def ordered(algorithms: Mapping[str, str]) -> dict[str, int]:

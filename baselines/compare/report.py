@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -61,8 +62,12 @@ def report_comparison(
     else:
         place = Place.of(out, PAGE)
         place.claim(force=force)
-        write_provenance(place.folder, command)
-        comparison = write_comparison(results, place)
+        try:
+            write_provenance(place.folder, command)
+            comparison = write_comparison(results, place)
+        except BaseException:
+            shutil.rmtree(place.folder)  # half a report would be in the way of the next
+            raise
     if marl_eval is not None:
         write_json(claim_file(marl_eval, force=force), marl_eval_data(results))
     return comparison

@@ -53,7 +53,7 @@ def train_all_runs(
         claim_folder(out, force=force)
     elif not (out / "config.json").is_file():
         raise RunError(f"{out} is not the folder of a comparison: it has no config.json")
-    elif changed := differences(read_json(out / "config.json"), config.to_json()):
+    elif changed := differences(read_json(out / "config.json", dict), config.to_json()):
         raise ConfigError(f"{out} cannot be resumed", changed)
     with alone(out, "mbn compare"):
         if not resume:

@@ -8,6 +8,7 @@ are, with replacement (Agarwal et al., NeurIPS 2021).
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -73,9 +74,15 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return corrected.tolist()
 
 
-def detectable(ours: FloatArray, theirs: FloatArray) -> float | None:
-    """The smallest difference of means that so many runs show in 80 % of cases, at 5 %."""
-    if ours.shape[1] == 1:
+def detectable(ours: FloatArray, theirs: FloatArray, family: int = 1) -> float | None:
+    """The smallest difference of means that so many runs show in 80 % of cases, at 5 %.
+
+    There is none if no difference can: if the least p-value, corrected for so many comparisons, is
+    above 5 %.
+    """
+    fields, seeds = ours.shape
+    least = 2.0 / math.comb(2 * seeds, seeds) ** fields
+    if seeds == 1 or family * least >= CERTAIN:
         return None
     squares = [(side.var(axis=1, ddof=1) / side.shape[1]).sum() for side in (ours, theirs)]
     return float(POWER * np.sqrt(sum(squares)) / len(ours))
@@ -178,7 +185,11 @@ def _pairs(results: Results, labels: Sequence[str]) -> list[Numbers]:
         {
             **{"better": better, "worse": worse},
             **_named("difference", difference(*both)),
-            **{"p": p_value, "p_holm": corrected, "detectable": detectable(*both)},
+            **{
+                "p": p_value,
+                "p_holm": corrected,
+                "detectable": detectable(both[0], both[1], len(p_values)),
+            },
         }
         for (better, worse), both, p_value, corrected in zip(
             pairs, scores, p_values, holm(p_values), strict=True
@@ -197,7 +208,7 @@ def verdict(results: Results, pairs: Sequence[Numbers]) -> str:
         name: sum(one.row["passed"] for one in results.of_label(name)) for name in results.labels
     }
     if not any(passed.values()):
-        budget = f"{results.records[0].row['env_steps']:,} env-steps"
+        budget = f"{max(one.row['env_steps'] for one in results.records):,} env-steps"
         return f"No run passes: the budget of {budget} is too small to compare."
     if len(passed) == 1:
         return f"{passed[results.labels[0]]} of {runs} runs pass."
@@ -216,7 +227,9 @@ def verdict(results: Results, pairs: Sequence[Numbers]) -> str:
     points, p_value = f"{low:.1f} .. {high:.1f} points of SPL", f"p = {pair['p_holm']:.2g}, Holm"
     if pair["p_holm"] < CERTAIN:
         return f"{ours} is ahead of {theirs} by {points} ({p_value}). {counts}"
-    shown = f"the runs could have shown {100.0 * pair['detectable']:.1f}"
+    shown = "with so few seeds none can be shown"
+    if pair["detectable"] is not None:
+        shown = f"the runs could have shown {100.0 * pair['detectable']:.1f}"
     return f"The order of {ours} and {theirs} stays open ({points}, {p_value}; {shown}). {counts}"
 
 

@@ -67,10 +67,15 @@ def read_variants(path: Path) -> tuple[Variant, ...]:
 
 
 def labelled(blocks: Mapping[str, Any], place: str) -> tuple[Variant, ...]:
-    return tuple(
-        validate(Variant, {**block, "label": str(label)}, f"{place}: {label}")
-        for label, block in blocks.items()
-    )
+    found, problems = list[Variant](), list[str]()
+    for label, block in blocks.items():
+        try:
+            found.append(validate(Variant, {**block, "label": str(label)}, place))
+        except ConfigError as error:
+            problems += [f"{label}: {problem}" for problem in error.problems]
+    if problems:
+        raise ConfigError(place, problems)
+    return tuple(found)
 
 
 LEAST_STEPS, STEPS_PER_VISITOR = 655_360, 100_000
@@ -133,6 +138,9 @@ class CompareConfig:
                 problems.append(f"tier: {random[0]} is random fields, and needs one")
             if self.tier is not None and (len(random) != 1 or len(self.fields) != 1):
                 problems.append("tier: allowed with one name of random fields, and no other field")
+            places = (load_fields(one) for one in dict.fromkeys(self.fields))
+            counted = Counter(one.name for one in places if not isinstance(one, FieldSampler))
+            problems += [f"fields: two are named {one}" for one, k in counted.items() if k > 1]
         algorithms = [variant.name for variant in self.variants]
         lists = {"algorithms": algorithms, "fields": self.fields, "seeds": self.seeds}
         for name, values in lists.items():

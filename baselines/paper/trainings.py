@@ -14,11 +14,13 @@ import pandas
 from numpy.typing import NDArray
 from pandas import DataFrame
 
+from baselines.algorithms import find_algorithm
 from baselines.compare.records import RunRecord, find_records
 from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published
 from baselines.runs.files import RunError, read_text, write_text
 from baselines.training.config import MOST
+from mbn_marl.config import make_config
 from mbn_marl.field import catalogue_names
 from mbn_marl.files import replacing
 from mbn_marl.optimum import optimal_return
@@ -97,17 +99,23 @@ def find_trainings(
 ) -> Trainings:
     """Read the runs at ``paths``: run folders, folders with run folders anywhere inside, reports.
 
-    Inside, studies, comparisons and what ``--force`` moved aside are left out; ``note`` says so.
+    Inside, studies, comparisons and what ``--force`` moved aside are left out, and so are runs with
+    another environment or other hyperparameters than their setting's; ``note`` says so.
     Of two runs of one cell and seed, one of them unfinished, the finished one is read. A RunError
     names two that are alike otherwise, and what cannot be read.
     """
     paths = list({path.resolve(): path for path in paths}.values())
-    reports = [path for path in paths if (path / RUNS_FILE).is_file()]
+    reports = [path for path in paths if all((path / f).is_file() for f in (RUNS_FILE, ROWS_FILE))]
     found = [run for path in reports for run in _of_report(path)]
     folders = [path for path in paths if path not in reports]
     if folders or not reports:
-        records = find_records(folders, note, finished=False)
-        found += map(_of_record, records)
+        for record in find_records(folders, note, finished=False):
+            if changed := _changed(record):
+                note(f"left out: {record.run.path}, not the setting's {', '.join(changed)}")
+            else:
+                found.append(_of_record(record))
+    if not found:
+        raise RunError(f"{', '.join(map(str, paths))}: no run of a setting as it is")
     found = _one_of_each(found, note)
     begun = [
         progress[progress.moving_mean.notna()].assign(**{name: run[name] for name in RUN})
@@ -130,6 +138,26 @@ def _one_of_each(found: Sequence[_Training], note: Callable[[str], None]) -> lis
             )
         note(f"left out: {one.place}, unfinished; {other.place} is the same, finished")
     return [one for one in found if any(one is other for other in chosen.values())]
+
+
+def _changed(record: RunRecord) -> list[str]:
+    """Name what differs from the run's setting; the number of worlds may."""
+    config = record.config
+    setting, file = config["setting"], config.get("hyperparams")
+    plain = find_algorithm(config["algorithm"]).resolve(
+        {},
+        setting="A" if setting == "C" else setting,
+        num_envs=config.get("num_envs"),
+        file=None if file is None else Path(file),
+    )
+    numbers = plain.model_dump(mode="json", exclude={"source", "skipped"})
+    theirs = config.get("hyperparameters") or {}
+    different = {
+        "hyperparameters": any(theirs.get(name, one) != one for name, one in numbers.items()),
+        "environment": make_config(config.get("environment") or plain.environment)
+        != make_config(plain.environment),
+    }
+    return [name for name, differs in different.items() if differs]
 
 
 def _of_record(record: RunRecord) -> _Training:

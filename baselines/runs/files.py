@@ -45,7 +45,7 @@ def claim_folder(path: Path, *, force: bool = False) -> Path:
     if path.is_dir() and not is_untouched(path):
         if not force:
             raise RunError(
-                f"{path} already exists; choose another --out, or pass --force to move it aside"
+                f"{path} already exists; choose another folder, or pass --force to move it aside"
             )
         for lock in list(path.rglob(LOCK)):
             with alone(lock.parent, "mbn"):

@@ -111,13 +111,13 @@ def check_outcomes(
     outcomes: Collection[Outcome], store: Path, again: str = "the same command and --resume"
 ) -> None:
     failed = [one for one in outcomes if one.error is not None]
-    lines = [f"{one.name}: {one.error}".splitlines()[0] for one in failed]
+    lines = [f"{one.name}: {one.error}".replace("\n", "\n  ") for one in failed]
     if lines:
         more = [f"and {len(lines) - SHOWN} more"] if len(lines) > SHOWN else []
         shown = "\n  - ".join([*lines[:SHOWN], *more])
         raise RunError(
-            f"{store}: {len(outcomes) - len(lines)} of {len(outcomes)} runs are done; resume the "
-            f"others with {again}\n  - {shown}"
+            f"{store}: {len(outcomes) - len(lines)} of {len(outcomes)} runs are done; once this is "
+            f"mended, resume the others with {again}\n  - {shown}"
         )
 
 

@@ -55,7 +55,7 @@ def tune(
     asked = {name: getattr(config, name) for name in CONFIG}
     if resume:
         load_study(out)
-        if changed := files.differences(files.read_json(out / "config.json"), asked):
+        if changed := files.differences(files.read_json(out / "config.json", dict), asked):
             raise ConfigError(str(out), changed)
     else:
         files.claim_folder(out, force=force)

@@ -62,7 +62,9 @@ class Study(Benchmark):
             raise ConfigError("study", [f"{self.study}: {unknown('study', self.study, STUDIES)}"])
         given = {name: getattr(self, name) for name in ("fields", "seeds", "steps")}
         path = Path(__file__).with_name(f"{self.study}.yaml")
-        asked = read_yaml(path) | {name: value for name, value in given.items() if value}
+        asked = read_yaml(path) | {
+            name: value for name, value in given.items() if value not in ((), None)
+        }
         plan = validate(Plan, asked, str(path))
         # A field may be a file in this folder.
         here = ((name, path.parent / name) for name in plan.fields)

@@ -20,6 +20,7 @@ from mbn_marl.adapters.one_world import (
     OneWorld,
     check_central,
     check_names,
+    fresh_seed,
     rename_max_steps,
 )
 from mbn_marl.config import FixedSettings
@@ -106,8 +107,8 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
         """Start an episode.
 
         Args:
-            seed: restarts the random numbers; ``None`` continues with those of the current seed,
-                at first 0.
+            seed: restarts the random numbers; ``None`` continues with those of the current seed.
+                A first reset without one draws it.
             options: ``"field"``, a name, a path or a Field for this episode alone, of the same
                 arena and with no more ROIs; ``"starts"``, where its robots start, ``(n, 2)`` units.
 
@@ -230,7 +231,8 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         super().reset(seed=None if seed is None else int(seed))
         mask = (options or {}).get("reset_mask")
         if mask is None:
-            self.engine.reset(seed)
+            begun = bool((self.engine.episode_numbers >= 0).any())
+            self.engine.reset(fresh_seed() if seed is None and not begun else seed)
             mask = np.ones(self.num_envs, np.bool_)
         else:
             self.engine.reset_worlds(mask)

@@ -126,7 +126,8 @@ class OneWorld:
             self._is_given = asked
         elif starts is not None:
             raise ConfigError("reset", ["options: starts; allowed with a field"])
-        observations: NDArray[np.float32] = self.engine.reset(seed)[0].copy()
+        first = fresh_seed() if seed is None and not self._started else seed
+        observations: NDArray[np.float32] = self.engine.reset(first)[0].copy()
         self._started = True
         self._show()
         return observations
@@ -140,6 +141,11 @@ class OneWorld:
     def _show(self) -> None:
         if self.render_mode == "human":
             self._viewer.draw(self.engine)
+
+
+def fresh_seed() -> int:
+    """Return a seed from the system's entropy, as a first reset without one has in Gymnasium."""
+    return int(np.random.SeedSequence().generate_state(1, np.uint64)[0] >> 1)
 
 
 def check_names(settings: Mapping[str, Any]) -> None:

@@ -7,7 +7,8 @@ The infos follow Stable-Baselines3's conventions. A row has
   if teams vary also ``present``: whether the row's robot, or how many of its robots, are there.
   Rows of robots that are not stay: their observations and rewards are 0. Where an episode ends,
   both are of that episode;
-- at the end of an episode also ``terminal_observation``, ``is_success``, the metrics, and
+- at the end of an episode also ``terminal_observation``, ``is_success``, the metrics, the numbers
+  that it had drawn as ``drawn/...``, and
   ``episode`` (return ``r``, length ``l``, seconds ``t``) as from ``Monitor``, so that
   ``ep_rew_mean`` and ``success_rate`` are logged without a wrapper.
 """
@@ -27,9 +28,10 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from mbn_marl.adapters.one_world import RENDER_FPS, LazyViewer, check_central
+from mbn_marl.adapters.one_world import RENDER_FPS, LazyViewer, check_central, check_names
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, Fields
+from mbn_marl.engine.validation import as_array
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
 
 if TYPE_CHECKING:
@@ -77,6 +79,7 @@ class NavigationVecEnv(VecEnv):
         render_mode: str | None = None,
         **settings: Unpack[Settings],
     ) -> None:
+        check_names(settings)
         self._viewer = LazyViewer(render_mode, ("rgb_array",))
         self.render_mode = render_mode
         self.engine = BatchEngine(
@@ -128,10 +131,13 @@ class NavigationVecEnv(VecEnv):
             ActionError: the shape is wrong.
         """
         expected = (self.num_envs, *(self.action_space.shape or ()))
-        if np.shape(actions) != expected:
-            raise ActionError(f"actions: shape {np.shape(actions)}, expected {expected}")
-        engine = self.engine
-        self._actions = np.reshape(actions, (engine.num_worlds, engine.n_robots, 2))
+        try:
+            given = as_array(actions)
+        except ValueError as error:  # rows of several lengths
+            raise ActionError(f"actions: {error}; expected shape {expected}") from None
+        if given.shape != expected:
+            raise ActionError(f"actions: shape {given.shape}, expected {expected}")
+        self._actions = given.reshape(self.engine.num_worlds, self.engine.n_robots, 2)
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step every world; those that end are reset at once.
@@ -168,11 +174,11 @@ class NavigationVecEnv(VecEnv):
         self, infos: list[dict[str, Any]], ending: Flags, timeouts: Flags, last: NDArray[np.float32]
     ) -> None:
         ended = np.flatnonzero(np.repeat(ending, self._rows_per_world))
-        metrics = {name: self._by_row(one) for name, one in self.engine.metrics().items()}
-        returns = metrics[self._return][ended].tolist()
-        del metrics["return_"]
-        drawn = {f"drawn/{name}": self._by_row(one) for name, one in self.engine.drawn().items()}
-        columns = {name: one[ended].tolist() for name, one in (metrics | drawn).items()}
+        numbers = {f"drawn/{name}": one for name, one in self.engine.drawn().items()}
+        numbers |= self.engine.metrics()
+        columns = {name: self._by_row(one[ending]).tolist() for name, one in numbers.items()}
+        returns = columns[self._return]
+        del columns["return_"]
         observations = self._observations(last)[ended]
         seconds = round(time.time() - self._start_time, 6)
         for index, row in enumerate(ended.tolist()):
@@ -249,6 +255,7 @@ class CentralizedVecEnv(NavigationVecEnv):
         joint_observation: bool = False,
         **settings: Unpack[Settings],
     ) -> None:
+        check_names(settings)
         self._joint = joint_observation
         how: dict[str, Any] = {"seed": seed, "threads": threads, "render_mode": render_mode}
         super().__init__(field, num_envs, **how, **settings)

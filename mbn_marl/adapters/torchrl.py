@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Unpack
 
 import numpy as np
@@ -12,9 +12,10 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from mbn_marl.adapters.one_world import check_names
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, Fields
-from mbn_marl.engine.validation import as_array
+from mbn_marl.engine.validation import as_array, reset_problems
 from mbn_marl.errors import ConfigError
 
 GROUP = "robots"
@@ -95,32 +96,36 @@ class NavigationEnv(EnvBase):
         num_worlds: int,
         *,
         seed: int = 0,
-        device: torch.device | str = "cpu",
+        device: torch.device | str | None = "cpu",
         threads: int | None = None,
         state: bool = True,
         team_reward: bool = True,
         metrics: Sequence[str] = METRICS,
         **settings: Unpack[Settings],
     ) -> None:
-        unknown = sorted(set(metrics) - set(METRICS))
-        problems = [f"metrics: {unknown}; allowed: {', '.join(METRICS)}"] if unknown else []
-        if len(set(metrics)) < len(metrics):
-            problems.append(f"metrics: {list(metrics)}; allowed: each of them once")
-        if not isinstance(num_worlds, int | np.integer) or num_worlds < 1:
-            problems.append(f"num_worlds: must be a whole number, at least 1 (got {num_worlds!r})")
+        check_names(settings)
+        problems, names = list[str](), [*metrics] if isinstance(metrics, Iterable) else [metrics]
+        if not all(name in METRICS and names.count(name) == 1 for name in names):
+            allowed = f"each at most once of {', '.join(METRICS)}"
+            problems.append(f"metrics: {metrics!r}; allowed: {allowed}")
+        where = torch.device("cpu" if device is None else device)
+        try:
+            engine = BatchEngine(
+                field,
+                num_worlds,
+                seed=seed,
+                autoreset="disabled",
+                device="cuda" if where.type == "cuda" else "cpu",
+                threads=threads,
+                **settings,
+            )
+        except ConfigError as error:
+            problems += error.problems
         if problems:
             raise ConfigError("NavigationEnv", problems)
-        super().__init__(device=device, batch_size=[num_worlds])
-        self.engine = BatchEngine(
-            field,
-            num_worlds,
-            seed=seed,
-            autoreset="disabled",
-            device="cuda" if self.device.type == "cuda" else "cpu",
-            threads=threads,
-            **settings,
-        )
-        self._give = as_array if self.engine.device == "cpu" else torch.as_tensor
+        super().__init__(device=where, batch_size=[num_worlds])
+        self.engine = engine
+        self._give = as_array if engine.device == "cpu" else torch.as_tensor
         self._state, self._team_reward, self._measures = state, team_reward, tuple(metrics)
         self._drawn = tuple(f"drawn/{name}" for name in self.engine.config.drawn if metrics)
         self._metrics = self._measures + self._drawn
@@ -129,6 +134,9 @@ class NavigationEnv(EnvBase):
         self._next_seed: int | None = None
         self._loaded = False
         self._make_specs()
+
+    def __repr__(self) -> str:
+        return repr(self.engine).replace(type(self.engine).__name__, type(self).__name__, 1)
 
     def _make_specs(self) -> None:
         engine = self.engine
@@ -169,6 +177,8 @@ class NavigationEnv(EnvBase):
         return Bounded(*bounds, shape=shape, dtype=dtype, device=self.device)
 
     def _set_seed(self, seed: int | None) -> None:
+        if problems := reset_problems(seed, 0):
+            raise ConfigError("set_seed", problems)
         self._next_seed, self._loaded = seed, False
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import partial
 from typing import Any, Protocol, Unpack
 
 import numpy as np
@@ -135,13 +134,19 @@ class BatchEngine:
         **settings: Unpack[Settings],
     ) -> None:
         source = field if isinstance(field, FieldSampler) else _load_all(field)
-        sizes, config = sizes_of(source), make_config(settings)
+        sizes, given = sizes_of(source), validation.as_starts(starts)
+        keys = {"seed": seed, "first_world": first_world}
+        problems = validation.argument_problems(num_worlds, threads, device, autoreset, keys)
+        try:
+            config = make_config(settings)
+        except ConfigError as error:
+            raise ConfigError("configuration", [*error.problems, *problems]) from None
         n = config.n_robots or sizes.robots
         self._sizes = sizes._replace(robots=n)
+        problems += validation.setup_problems(source, config, n, num_worlds, given)
+        if problems:
+            raise ConfigError("configuration", problems)
         self.autoreset = validation.autoreset_mode(autoreset)
-        given = validation.as_starts(starts)
-        keys = {"seed": seed, "first_world": first_world}
-        validation.check_setup(source, config, n, num_worlds, threads, device, given, keys)
         self.config = config = config.model_copy(update={"n_robots": n})
         self.fields = () if isinstance(source, FieldSampler) else source
         self.sampler = source if isinstance(source, FieldSampler) else None
@@ -157,6 +162,7 @@ class BatchEngine:
         self.observation_high = np.array([entry.high for entry in table], np.float32)
         self.listeners: list[Listener] = []
         self._set_fields: dict[int, tuple[int, Field]] = {}
+        self._drawn_rows = rows_of_drawn(config, n)
         numbers = config, n, self.arena, self.autoreset, first_world, vary
         try:
             spec = BackendSpec(
@@ -347,6 +353,7 @@ class BatchEngine:
 
         Rows of worlds whose episode continues hold nothing of use.
         """
+        self._check_same_step("final_observations")
         return self._backend.output.final_observations
 
     def _infos(self) -> NDArray[np.float64]:
@@ -385,8 +392,7 @@ class BatchEngine:
         """Measures of each episode as of the last step, before any automatic reset.
 
         Args:
-            names: those to return, of ``METRICS``; all but ``path_length`` and ``impulse`` cost
-                next to nothing.
+            names: those to return, of ``METRICS``; all but ``impulse`` cost next to nothing.
 
         Returns:
             ``success``, ``collision`` (W,) bool; ``steps`` (W,) int32; ``episode_return`` (W,)
@@ -425,11 +431,9 @@ class BatchEngine:
             "wall_hits": lambda: last("wall_hits").T,
             "failed": lambda: last("status").T == FAILED if may_rest(now) else self.failed,
             "return_": lambda: last("returns").T,
+            "path_length": lambda: xp.asarray(last("path_length").T, dtype=xp.float64),
+            "impulse": lambda: self.infos()[..., MEASURES.index("impulse")],
         }
-        if not set(names) <= set(measures):
-            infos = self.infos()
-            for name in ("path_length", "impulse"):
-                measures[name] = partial(infos.__getitem__, (..., MEASURES.index(name)))
         return {name: measures[name]() for name in names}
 
     # -- the state ---------------------------------------------------------------------------------
@@ -449,7 +453,13 @@ class BatchEngine:
 
         With autoreset same-step only.
         """
+        self._check_same_step("final_state")
         return self._states(final=True)
+
+    def _check_same_step(self, name: str) -> None:
+        if self.autoreset != "same_step":
+            problem = f"autoreset: {self.autoreset!r}; allowed: 'same_step'"
+            raise ConfigError(name, [f"{problem}, elsewhere a world keeps its last state"])
 
     def _states(self, *, final: bool) -> Array:
         now = self._backend.now
@@ -482,14 +492,16 @@ class BatchEngine:
 
     def final_drawn(self) -> dict[str, Array]:
         """Return :meth:`drawn` of the last finished episodes, (W,); autoreset same-step only."""
+        self._check_same_step("final_drawn")
         return self._drawn_in(self._backend.final)
 
     def _drawn_in(self, episode: Episode) -> dict[str, Array]:
-        rows, copied = rows_of_drawn(self.config, self.n_robots), self._backend.xp.concatenate
-        return {name: copied([episode.drawn[row]]) for name, row in rows.items()}
+        copied = self._backend.xp.concatenate
+        return {name: copied([episode.drawn[row]]) for name, row in self._drawn_rows.items()}
 
     def config_in(self, world: int = 0) -> NavigationConfig:
         """Return the configuration with the drawn numbers of the present episode of ``world``."""
+        self._check_world(world)
         own = {name: float(numbers[world]) for name, numbers in self.drawn().items()}
         return self.config.with_drawn(own)
 

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,39 +64,56 @@ class TrackedWorld:
     def __init__(self, engine: BatchEngine, speed_limit: float | None = None) -> None:
         backend = engine._backend
         single = engine.num_worlds == 1 and engine.autoreset == "disabled"
-        limit = np.inf if speed_limit is None else speed_limit
-        problems = [] if limit > 0.0 else [f"speed_limit: {limit}; allowed: None, or above 0"]
+        limit, problems = np.inf if speed_limit is None else speed_limit, []
+        if not isinstance(limit, Real) or not limit > 0.0:
+            problems.append(f"speed_limit: {limit!r}; allowed: None, or a number above 0")
         if not (single and engine.device == "cpu"):
+            found = f"{engine.num_worlds} worlds on {engine.device}, autoreset {engine.autoreset}"
             allowed = "allowed: one world on the CPU, autoreset disabled"
-            wrong = f"engine: {engine.num_worlds} worlds on {engine.device}; {allowed}"
-            raise ConfigError("tracked world", [*problems, wrong])
+            problems.append(f"engine: {found}; {allowed}")
         if problems:
             raise ConfigError("tracked world", problems)
         self.engine, self._backend = engine, backend
         self._limits = backend.geometry.team.limits.copy()
         self._limits[V_CLIP] = np.minimum(self._limits[V_CLIP], limit)
         self._allowed = np.ones(engine.n_robots, np.bool_)
-        self._commanded: tuple[int, int] | None = None  # the moment of the last command
+        self._commanded: int | None = None  # the step of the last command
+        engine.listeners.append(self)
+
+    def was_reset(self, mask: Any) -> None:
+        self._commanded = None
+
+    def stepped(self, actions: Any, ended: Any) -> None:
+        self._commanded = None
 
     @property
-    def _moment(self) -> tuple[int, int]:
-        return int(self.engine.episode_numbers[0]), int(self._backend.now.steps[0])
+    def _step(self) -> int:
+        return int(self._backend.now.steps[0])
 
     def command(self, actions: ArrayLike) -> Command:
         """The first half of a step.
 
         Args:
             actions: (n, 2), finite; values outside [-1, 1] are clipped.
+
+        Raises:
+            ActionError: the actions are not allowed; nothing has changed.
+            StepError: no episode runs, or the step has a command already.
         """
         if not self.engine.running[0]:
             raise StepError("the episode has not begun, or has ended; allowed: reset() first")
-        allowed = f"{(self.engine.n_robots, 2)} (robots, axes)"
+        if self._commanded == self._step:
+            raise StepError("the robots have a command; allowed: measure() first")
+        shape = (self.engine.n_robots, 2)
+        allowed = f"{shape} (robots, axes)"
         given = self._backend.given("actions", actions, allowed)
+        if given.shape != shape:
+            raise ActionError(f"actions: shape {given.shape}; allowed: {allowed}")
         forces = self._backend.checked_actions(given[None])
         velocities = np.empty((1, self.engine.n_robots, 2), self.engine.dtype)
         chooser = self._backend.arguments_with(self._limits)
         choose_velocities(chooser, forces, velocities, self._allowed)
-        self._commanded = self._moment
+        self._commanded = self._step
         return Command(velocities[0], self._allowed.copy(), self.engine.failed[0])
 
     def measure(self, positions: ArrayLike, velocities: ArrayLike) -> None:
@@ -112,7 +130,7 @@ class TrackedWorld:
             ActionError: an argument is not allowed.
             StepError: there is no command for this step of the episode.
         """
-        if self._commanded != self._moment:
+        if self._commanded != self._step:
             raise StepError("the robots have no command; allowed: command() first")
         shape, measured = (1, self.engine.n_robots, 2), []
         for name, given in (("positions", positions), ("velocities", velocities)):

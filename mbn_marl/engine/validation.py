@@ -28,23 +28,16 @@ ROUNDING = 1e-3
 
 
 def autoreset_mode(value: Autoreset) -> str:
-    mode = ("same_step" if value else "disabled") if isinstance(value, bool) else value
-    if mode not in AUTORESET_MODES:
-        allowed = ", ".join(map(repr, (True, False, *AUTORESET_MODES)))
-        raise ConfigError("configuration", [f"autoreset: {value!r}; allowed: {allowed}"])
-    return mode
+    return ("same_step" if value else "disabled") if isinstance(value, bool) else value
 
 
-def check_setup(
-    source: FieldSource,
-    config: NavigationConfig,
-    n: int,
+def argument_problems(
     num_worlds: int,
     threads: int | None,
     device: str,
-    starts: NDArray[Any] | None,
+    autoreset: Autoreset,
     keys: Mapping[str, int],
-) -> None:
+) -> list[str]:
     problems = [one for name, key in keys.items() for one in _number_problems(name, key)]
     if device not in get_args(Device):
         problems.append(f"device: {device!r}; allowed: {', '.join(map(repr, get_args(Device)))}")
@@ -53,6 +46,20 @@ def check_setup(
         problems.append(f"num_worlds: {num_worlds!r}; allowed: {allowed}")
     if threads is not None and not _positive(threads):
         problems.append(f"threads: {threads!r}; allowed: None or an integer of at least 1")
+    if autoreset_mode(autoreset) not in AUTORESET_MODES:
+        allowed = ", ".join(map(repr, (True, False, *AUTORESET_MODES)))
+        problems.append(f"autoreset: {autoreset!r}; allowed: {allowed}")
+    return problems
+
+
+def setup_problems(
+    source: FieldSource,
+    config: NavigationConfig,
+    n: int,
+    num_worlds: int,
+    starts: NDArray[Any] | None,
+) -> list[str]:
+    problems = []
     for name in ("dynamics", *LIMITS):
         if (count := len(config.of_each(name, n))) != n:
             problems.append(f"{name}: {count} values; allowed: one for all robots, or {n} of them")
@@ -63,8 +70,7 @@ def check_setup(
         if _positive(num_worlds) and len(source) > num_worlds:
             problems.append(f"field: {len(source)} fields; allowed: up to {num_worlds}, the worlds")
         problems += _fields_problems(source, config, n, starts)
-    if problems:
-        raise ConfigError("configuration", problems)
+    return problems
 
 
 def _fields_problems(
@@ -189,9 +195,12 @@ def _positive(value: object) -> bool:
 
 
 def _given_starts_problems(starts: NDArray[Any], config: NavigationConfig, n: int) -> list[str]:
-    if starts.shape != (n, 2) or starts.dtype.kind not in "fiu" or not np.isfinite(starts).all():
+    if starts.shape != (n, 2) or starts.dtype.kind not in REAL:
         wrong = f"shape {starts.shape} of {starts.dtype}"
         return [f"starts: {wrong}; allowed: finite numbers of shape ({n}, 2)"]
+    bad = np.flatnonzero(~np.isfinite(starts).all(axis=1)).tolist()
+    if bad:
+        return [f"starts[{i}]: {starts[i].tolist()}; allowed: finite numbers" for i in bad]
     if config.random_starts:
         return ["starts: allowed without random_starts"]
     return []
@@ -221,7 +230,7 @@ def _decoy_problems(config: NavigationConfig, rois: int, source: str) -> list[st
 
 def as_starts(starts: ArrayLike | None) -> NDArray[Any] | None:
     try:
-        return None if starts is None else np.asarray(starts)
+        return None if starts is None else as_array(starts)
     except ValueError as error:
         raise ConfigError("starts", [f"starts: {error}; allowed: (n, 2) numbers"]) from None
 

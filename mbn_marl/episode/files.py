@@ -19,7 +19,7 @@ from mbn_marl import field as fields
 from mbn_marl.config import MAX_ROBOTS, MAX_ROIS, describe, make_config
 from mbn_marl.engine import REWARD_TERMS
 from mbn_marl.episode.episode import Episode, Outcome
-from mbn_marl.errors import EpisodeError, MbnError
+from mbn_marl.errors import ConfigError, EpisodeError, FieldError
 from mbn_marl.files import check_ending, replacing
 from mbn_marl.version import __version__
 
@@ -128,6 +128,7 @@ def load_episode(path: str | Path) -> Episode:
 
     Raises:
         EpisodeError: naming the file and all its problems.
+        OSError: there is no such file, or it cannot be read.
     """
     path = Path(path)
     if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would wait for ever
@@ -193,13 +194,19 @@ def to_file(episode: Episode) -> EpisodeFile:
 
 
 def _from_file(content: EpisodeFile, name: str) -> Episode:
-    place = "field"
+    problems: list[str] = []
     try:
         field = fields.Field(**content.field)
-        place = "config"
+    except FieldError as error:
+        problems += [f"field.{problem}" for problem in error.problems]
+    except TypeError as error:
+        problems.append(f"field: {error}")
+    try:
         config = make_config({"wind": content.wind, **content.config})
-    except (TypeError, MbnError) as error:
-        raise EpisodeError(name, [f"{place}: {error}"]) from None
+    except ConfigError as error:
+        problems += [f"config.{problem}" for problem in error.problems]
+    if problems:
+        raise EpisodeError(name, problems)
     steps, robots, dtype = content.steps, content.robots, str(config.dtype)
     terms, known = content.rewards.terms, list(REWARD_TERMS)
     packed: dict[str, tuple[PackedArray | CodedArray | None, tuple[int, ...], str]] = {
@@ -211,7 +218,6 @@ def _from_file(content: EpisodeFile, name: str) -> Episode:
         "rewards.team": (content.rewards.team, (steps,), "float64"),
     }
     arrays: dict[str, Any] = {}
-    problems = []
     for part, (array, shape, kind) in packed.items():
         if array is not None:
             try:

@@ -40,7 +40,8 @@ class Field:
         arena: width and height in units; everything is in ``[0, width] x [0, height]``.
         name: 1 to 64 letters, digits, ``_``, ``.`` or ``-``.
         optimal_makespan: the proved least number of steps in which robots on all the starts visit
-            every ROI, with the default dynamics and no wind; ``None`` if unknown.
+            every ROI without pushing outside the field, with the default dynamics and no wind;
+            ``None`` if unknown.
 
     Attributes:
         vertices: as given, float64 and read-only, like ``rois``, ``starts`` and each of ``holes``.

@@ -125,7 +125,7 @@ def save_field(field: Field | FieldSampler, path: str | os.PathLike[str]) -> Non
     else:
         content = {"format": FORMAT, **field.to_dict()}
     known = {key: value for key, value in content.items() if value not in (None, [])}
-    text = yaml.safe_dump(known, sort_keys=False, default_flow_style=None)
+    text = yaml.dump(known, Dumper=_Dumper, sort_keys=False, default_flow_style=None)
     with replacing(Path(path)) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -217,7 +217,9 @@ def _in_units(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_in_units(entry) for entry in value]
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return value * AUTHORS_UNIT if is_number else value
+    with suppress(OverflowError):
+        return value * AUTHORS_UNIT if is_number else value
+    return value
 
 
 _Base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -237,9 +239,17 @@ class _Loader(_Base):  # type: ignore[misc]  # the base is chosen at run time
 
 
 _Loader.add_constructor("tag:yaml.org,2002:python/tuple", SafeConstructor.construct_yaml_seq)
-_Loader.add_implicit_resolver(  # JSON numbers that YAML 1.1 reads as text
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$"), list("-+0123456789")
-)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes the words that the loader reads as numbers."""
+
+
+for _kind in (_Loader, _Dumper):
+    _kind.add_implicit_resolver(  # JSON numbers that YAML 1.1 reads as text
+        *("tag:yaml.org,2002:float", re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$")),
+        list("-+0123456789"),
+    )
 
 
 def parse_yaml(data: bytes, source: str) -> object:

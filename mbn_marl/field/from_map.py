@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import shapely
 from shapely.errors import ShapelyError
 from shapely.geometry import mapping, shape
 
-from mbn_marl.errors import FieldError
+from mbn_marl.errors import ConfigError, FieldError
 from mbn_marl.field.field import Field
 from mbn_marl.field.files import name_from, read_bytes, split_location
 from mbn_marl.field.generator.layout import MILLI, ROIS_APART, STARTS_APART, WALL
@@ -75,14 +76,20 @@ def load_map(
 
     Raises:
         FieldError: listing every problem with its place.
-        ConfigError: ``robots``, ``rois`` or ``seed`` is not in its range.
+        ConfigError: listing every argument that is not in its range.
     """
-    FieldSampler(robots=robots, rois=rois, seed=seed)  # checks the numbers
+    problems: list[str] = []
+    try:
+        FieldSampler(robots=robots, rois=rois, seed=seed)  # checks the numbers
+    except ConfigError as error:
+        problems += error.problems
+    if not isinstance(metres_per_unit, Real) or not 0.0 < metres_per_unit < math.inf:
+        problems.append(f"metres_per_unit: {metres_per_unit!r}; allowed: a number above 0")
+    if problems:
+        raise ConfigError("map", problems)
     path, wanted = split_location(os.fspath(source))
     notes: list[str] = []
     try:
-        if not (0.0 < metres_per_unit < math.inf):
-            raise _error(f"metres_per_unit: {metres_per_unit}; allowed: a number above 0")
         shapes = _shapes(read_bytes(Path(path), MAX_MAP_BYTES))
         polygons = [one for one in shapes if one.geometry.geom_type == "Polygon"]
         outers = [one for one in polygons if one.kind != "hole"]
@@ -129,7 +136,15 @@ def _shapes(data: bytes) -> list[_Shape]:
     features = document.get("features")
     if not isinstance(features, list):
         raise _error("features: expected a list")
-    return [part for k, one in enumerate(features) for part in _feature(one, f"features[{k}]")]
+    found, problems = list[_Shape](), list[str]()
+    for k, one in enumerate(features):
+        try:
+            found += _feature(one, f"features[{k}]")
+        except FieldError as error:
+            problems += error.problems
+    if problems:
+        raise FieldError("map", problems)
+    return found
 
 
 def _from_wkt(text: str) -> shapely.Geometry:
@@ -141,8 +156,11 @@ def _from_wkt(text: str) -> shapely.Geometry:
         return f"({ring[1]},{points[0]})" if is_open else ring[0]
 
     text = re.sub(r"SRID=\d+;", "", text, flags=re.IGNORECASE).rstrip(";")
-    if "POLYGON" in text.upper() and "MULTIPOINT" not in text.upper():
-        text = re.sub(r"\(([^()]+)\)", close, text)
+    if "POLYGON" in text.upper():
+        points = r"(MULTIPOINT[^(]*\((?:[^()]|\([^()]*\))*\))"
+        parts = re.split(points, text, flags=re.IGNORECASE)
+        parts[::2] = [re.sub(r"\(([^()]+)\)", close, part) for part in parts[::2]]
+        text = "".join(parts)
     kinds = r"\)[\s;]*(?=(?:MULTI)?(?:POLYGON|POINT)\b)"  # geometries that follow each other
     several = re.sub(kinds, "),", text, flags=re.IGNORECASE)
     return shapely.from_wkt(f"GEOMETRYCOLLECTION({several})")

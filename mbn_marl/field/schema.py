@@ -68,7 +68,7 @@ class FieldFile(BaseModel):
     optimal_makespan: Annotated[int, Described(ge=1, le=1_000_000), NOT_A_WORD] | None = Described(
         default=None,
         description="Proved least number of steps in which robots on all the starts visit "
-        "every ROI, with the default dynamics and no wind.",
+        "every ROI without pushing outside the field, with the default dynamics and no wind.",
     )
     arena: Annotated[tuple[_Side, _Side], _List] = Described(
         default=DEFAULT_ARENA, description="Width and height of the arena, in units."
@@ -124,6 +124,8 @@ def _with_place(line: str) -> str:
     """Return a problem with ``holes[0][2].y`` in place of ``holes.0.2.1``."""
     name, *numbers = line.partition(":")[0].split(".")
     depth = POINT_DEPTH.get(name, 2) - 1
+    if not all(map(str.isdecimal, numbers)) or not set(numbers[depth:]) <= {"0", "1"}:
+        return line  # a name with dots
     axes = "".join(f".{'xy'[int(k)]}" for k in numbers[depth:])
     place = name + "".join(f"[{k}]" for k in numbers[:depth]) + axes
     return f"{place}:{line.partition(':')[2]}"

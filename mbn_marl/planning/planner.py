@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from numbers import Integral, Real
 from typing import Any, Unpack
 
 import numpy as np
@@ -108,19 +109,34 @@ def plan(
 
     Raises:
         UnsolvableError: it is proved that no clean plan visits every ROI within an episode.
-        ConfigError: a setting, a velocity, a visited ROI or the time limit is not valid.
+        ConfigError: settings, velocities, visited ROIs or limits are not valid; all are listed.
         FieldError: the field is not valid.
     """
-    if not time_limit > 0.0:
-        raise ConfigError("plan", [f"time_limit: expected more than 0 seconds, got {time_limit}"])
-    problem = make_problem(load_field(field), make_config(settings))
+    field = load_field(field)
+    limits = {"time_limit": time_limit, "work_limit": 1 if work_limit is None else work_limit}
+    problems = [
+        f"{name}: {limit!r}; allowed: a number above 0"
+        for name, limit in limits.items()
+        if not isinstance(limit, Real) or not limit > 0
+    ]
+    every = range(len(field.rois))
+    given = list(visited) if isinstance(visited, Iterable) else [visited, *every]
+    whole = all(isinstance(j, Integral) and not isinstance(j, bool) and j in every for j in given)
+    if not whole or len(set(given)) == len(every):
+        problems.append(f"visited: allowed: some of 0 to {every[-1]}, not all")
+    try:
+        problem = make_problem(field, make_config(settings))
+        problem = problem if velocities is None else problem.moving(velocities)
+    except ConfigError as error:
+        problems += error.problems
+    if problems:
+        raise ConfigError("plan", problems)
     if work_limit is not None:
         problem, time_limit = replace(problem, clock=Work().add), work_limit
-    problem = problem if velocities is None else problem.moving(velocities)
-    left = sorted(set(range(problem.m)) - set(visited))
-    if not left or not set(visited) <= set(range(problem.m)):
-        raise ConfigError("plan", [f"visited: allowed: some of 0 to {problem.m - 1}, not all"])
-    player, part = Player(problem, visited), problem.only(left)
+    left = sorted(set(every) - set(given))
+    player, part = Player(problem, given), problem.only(left)
+    all_rois = (1 << part.m) - 1  # compiled before the clock starts
+    least_makespan(np.array([all_rois]), np.ones((1, 1), np.int64), all_rois)
     began, clock = time.monotonic(), problem.clock(0)
     refuse_unsolvable(problem, left)
     best = plan_greedily(problem, player, clock + GREEDY_SHARE * time_limit)

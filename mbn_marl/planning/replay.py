@@ -89,7 +89,7 @@ class Player:
             seen = now
         return Playback(
             actions=np.array(actions, np.float32).reshape(-1, engine.n_robots, 2),
-            clean=seen.success and not engine.metrics()["wall_hits"].any(),
+            clean=seen.success and not engine.metrics(["wall_hits"])["wall_hits"].any(),
             return_=seen.team_return,
             trail=np.asarray(seen.trail, np.float64),
             assignment=tuple(map(tuple, visits)),

@@ -72,7 +72,8 @@ def make_roadmap(area: shapely.Geometry, places: Floats, *, largest: bool = Fals
     offsets = np.abs(nodes[a] - nodes[b])
     lengths = offsets.max(axis=1) if largest else np.hypot(*offsets.T)
     graph = np.full((len(nodes), len(nodes)), np.inf)
-    graph[a[seen], b[seen]] = graph[b[seen], a[seen]] = np.maximum(lengths[seen], 1e-9)
+    # SciPy takes entries up to 1e-8 for no edge.
+    graph[a[seen], b[seen]] = graph[b[seen], a[seen]] = np.maximum(lengths[seen], TOUCH)
     shortest, before = dijkstra(
         np.where(np.isfinite(graph), graph, 0.0), directed=False, return_predecessors=True
     )

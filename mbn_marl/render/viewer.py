@@ -48,8 +48,8 @@ class Viewer:
             known = " or ".join(map(repr, RENDER_MODES))
             problems.append(f"render_mode: {known}, not {render_mode!r}")
         problems += size_problems("size", size)
-        if not frame_rate > 0.0:
-            problems.append(f"frame_rate: above 0, not {frame_rate}")
+        if not isinstance(frame_rate, int | float) or not frame_rate > 0.0:
+            problems.append(f"frame_rate: a number above 0, not {frame_rate!r}")
         if problems:
             raise ConfigError("viewer", problems)
         self.render_mode, self.size = render_mode, size
@@ -86,7 +86,8 @@ class Viewer:
     def _show(self, frame: pygame.Surface) -> None:
         import pygame
 
-        if self._window is None:
+        # Another viewer that was closed has closed the display.
+        if self._window is None or pygame.display.get_surface() is None:
             try:
                 pygame.display.init()
                 if pygame.display.get_driver() == UNSEEN and "SDL_VIDEODRIVER" not in os.environ:

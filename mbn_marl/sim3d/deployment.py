@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mbn_marl.config import NavigationConfig
 from mbn_marl.engine import BatchEngine, TrackedWorld
 from mbn_marl.episode import Episode
 from mbn_marl.episode.play import EpisodeLog
@@ -33,6 +34,11 @@ class Deployment:
     seconds: float | None  #: of one core that the simulator's steps took; ``None`` if unknown
 
     @property
+    def config(self) -> NavigationConfig:
+        """The episode's configuration, with numbers in place of what was drawn."""
+        return self.episode.config.with_drawn(self.episode.drawn)
+
+    @property
     def success(self) -> bool:
         return self.episode.outcome == "success"
 
@@ -53,7 +59,7 @@ class Deployment:
     def tracking_error(self) -> float:
         """Distance of robots from the MDP's ``p + v' tau``, RMS over steps, units."""
         positions = self.episode.positions.astype(np.float64)
-        missed = np.diff(positions, axis=0) - self.commands * self.episode.config.tau
+        missed = np.diff(positions, axis=0) - self.commands * self.config.tau
         return float(np.sqrt(np.square(missed).sum(axis=-1).mean()))
 
 
@@ -78,20 +84,18 @@ def deploy(
     """
     alone: dict[str, Any] = {"seed": seed, "autoreset": False, "threads": 1}
     engine = BatchEngine(field, 1, **alone, **settings)
-    if engine.config.drawn:  # a simulator needs numbers
-        engine.reset()
-        settings = engine.config_in().model_dump()
-        return deploy(policy, field, settings, simulator, seed=seed, source=source)
-    config, wind, kind = engine.config, engine.config.wind_increment(), ""
+    engine.reset()
+    config, now, kind = engine.config, engine.config_in(), ""  # ``now`` without drawn numbers
     if config.failures is not None and (kind := config.failures.kind) not in simulator.failures:
         allowed = f"allowed with its vehicles: {', '.join(map(repr, simulator.failures))}"
         place = type(simulator).__name__
         raise ConfigError("deployment", [f"failures.kind: {kind!r} with {place}; {allowed}"])
     if simulator.has_wind:  # then its bodies feel the wind, and the commands are without
-        engine = BatchEngine(field, 1, **alone, **{**settings, "wind": (0.0, 0.0)})
-    world, observations = TrackedWorld(engine, simulator.speed_limit), engine.reset()
+        config = config.model_copy(update={"wind": now.wind})
+        engine = BatchEngine(field, 1, **alone, **{**config.model_dump(), "wind": (0.0, 0.0)})
+    world, observations = TrackedWorld(engine, simulator.speed_limit), engine.reset(seed)
     starts = engine.snapshot().positions
-    simulator.reset(Mission(field, starts, wind, config.tau, config.roi_radius))
+    simulator.reset(Mission(field, starts, now.wind_increment(), now.tau, now.roi_radius))
     seconds, log, commands = 0.0, EpisodeLog(engine), list[Floats]()
     failed = np.zeros(engine.n_robots, np.bool_)
     while engine.running[0]:
@@ -112,6 +116,6 @@ def deploy(
     return Deployment(
         episode=log.episode(config, source, seed),
         commands=np.stack(commands),
-        wall_hits=int(engine.metrics()["wall_hits"].sum()),
+        wall_hits=int(engine.metrics(["wall_hits"])["wall_hits"].sum()),
         seconds=None if simulator.external else seconds,
     )

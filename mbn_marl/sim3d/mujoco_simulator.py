@@ -127,3 +127,8 @@ class MujocoSimulator(Simulator):
     def close(self) -> None:
         if self._film is not None:
             self._film.close()
+
+    def __exit__(self, *error: object) -> None:
+        if self._film is not None and any(error):
+            self._film.discard(*error)
+        self.close()

@@ -191,6 +191,17 @@ class TestVector:
         assert (first != second).any() and (first != other).any()
         assert len(np.unique(first, axis=0)) == 3
 
+    def test_without_seeds_copies_differ(self):
+        for make in (
+            lambda: gymnasium.make_vec("mbn/field_03-v0", num_envs=1, random_starts=True),
+            lambda: centralized_env("field_03", random_starts=True),
+            lambda: parallel_env("field_03", random_starts=True),
+        ):
+            one, other = make(), make()
+            assert (one.reset()[0] is not None) and (other.reset()[0] is not None)
+            assert (one.engine.state() != other.engine.state()).any()
+            assert one.engine.seed != other.engine.seed
+
     def test_wrong_options(self):
         envs = CentralizedVectorEnv(2)
         before, _ = envs.reset()

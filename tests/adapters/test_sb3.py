@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from gymnasium import spaces
 from sb3_contrib import TQC
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -145,6 +146,8 @@ def test_bad_calls_are_refused_before_anything_moves(kind: type[NavigationVecEnv
         (env.step_wait, StepError, "step_wait: "),
         (lambda: env.step(np.zeros(2)), ActionError, "actions: "),
         (lambda: env.step(bad), ActionError, r"world 4.*robot_2"),
+        (lambda: env.step([[1.0], [1.0, 0.0]]), ActionError, "actions: "),  # type: ignore[arg-type, list-item]
+        (lambda: kind("field_03", 4, autoreset=True), ConfigError, "autoreset: "),  # type: ignore[call-arg]
         (lambda: kind("field_03", 4, render_mode="human"), ConfigError, "render_mode: "),
         (lambda: env.set_attr("label", "other", indices=[0]), MbnError, "label"),
     ):
@@ -156,6 +159,7 @@ def test_bad_calls_are_refused_before_anything_moves(kind: type[NavigationVecEnv
         env.reset()
     env.set_options()
     env.reset()
+    env.step(torch.from_numpy(good).requires_grad_())  # type: ignore[arg-type]
 
 
 @BOTH

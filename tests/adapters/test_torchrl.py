@@ -188,3 +188,14 @@ def test_sizes_and_metrics_are_checked_at_once() -> None:
     with pytest.raises(ConfigError) as caught:
         NavigationEnv("field_03", 2.5, metrics=["success", "success"])  # type: ignore[arg-type]
     assert [one.partition(":")[0] for one in caught.value.problems] == ["metrics", "num_worlds"]
+    metrics: Any
+    for metrics in (None, [1, "success"], [["success"]]):
+        with pytest.raises(ConfigError, match="metrics: "):
+            NavigationEnv("field_03", 2, metrics=metrics)
+    settings: Any = {"autoreset": True}
+    with pytest.raises(ConfigError, match="autoreset: "):
+        NavigationEnv("field_03", 2, **settings)
+    env = NavigationEnv("field_03", 2, device=None)
+    assert env.device == torch.device("cpu") and "field_03" in repr(env)
+    with pytest.raises(ConfigError, match="seed: "):
+        env.set_seed(-1)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from mbn_marl import (
     BatchEngine,
@@ -240,6 +241,30 @@ def test_bad_fields() -> None:
     ):
         with pytest.raises(error, match=place):
             BatchEngine(given)
+
+
+def test_all_arguments_are_checked_at_once() -> None:
+    wrong: Any = {"autoreset": "x", "threads": 0, "mass": -1}
+    with pytest.raises(ConfigError) as caught:
+        BatchEngine("field_03", 0, **wrong)
+    places = [one.split(":")[0] for one in caught.value.problems]
+    assert places == ["mass", "num_worlds", "threads", "autoreset"]
+    starts = torch.zeros(3, 2, requires_grad=True)
+    with pytest.raises(ConfigError, match=r"starts\[1\]: "):
+        BatchEngine("field_03", 1, starts=starts)
+    with pytest.raises(ConfigError, match=r"starts\[2\]: .*nan"):
+        BatchEngine("field_03", 1, starts=[(120.0, 120.0), (150.0, 150.0), (np.nan, 1.0)])
+
+
+def test_what_only_one_mode_keeps_is_refused_in_others() -> None:
+    engine = BatchEngine("field_03", 2, autoreset="next_step")
+    engine.reset()
+    for read in (engine.final_state, engine.final_drawn, lambda: engine.final_observations):
+        with pytest.raises(ConfigError, match="autoreset: 'next_step'; allowed: 'same_step'"):
+            read()
+    for world in (-1, 2):
+        with pytest.raises(IndexError, match="allowed: 0 to 1"):
+            engine.config_in(world)
 
 
 def test_calls_that_do_not_fit_the_engine_are_refused() -> None:

@@ -250,8 +250,8 @@ def test_wrong_content_is_named(document: dict[str, Any], tmp_path: Path) -> Non
         (["visits", 0], 99, "visits: allowed"),
         (["team_return"], 1.0, "team_return: "),
         (["rewards", "terms", 0], "roi", "rewards.terms: "),
-        (["field", "vertices"], [], "field: "),
-        (["config", "tau"], -1, "tau: "),
+        (["field", "vertices"], [], "field.vertices: "),
+        (["config", "tau"], -1, "config.tau: "),
     ):
         content = part = json.loads(json.dumps(document))
         for key in keys[:-1]:

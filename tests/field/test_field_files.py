@@ -116,6 +116,11 @@ class TestFiles:
         assert loaded.to_dict() == {**field.to_dict(), "optimal_makespan": None}
         assert load_field(field) is field
 
+    def test_names_that_could_be_numbers(self, tmp_path: Path) -> None:
+        for name in ("1e5", "7e2", "1e-7", "12", "0x1f", "yes", "null"):
+            save_field(square(name=name), tmp_path / "field.yaml")
+            assert load_field(tmp_path / "field.yaml") == square(name=name)
+
     def test_optional_keys(self, tmp_path: Path) -> None:
         plain = load_field(write(tmp_path, VALID_FILE, "my field.yaml"))
         assert plain.name == "my_field"
@@ -144,6 +149,8 @@ class TestFiles:
             "starts: [[10, 10], [10, 10]]\n",
         )
         assert sorted(places) == ["colour", "format", "rois", "starts[1]", "vertices[3].y"]
+        for key in ("a.b.c", "x.1.7", "rois.1.7", "a.b"):
+            assert places_in(tmp_path, f"{VALID_FILE}{key}: 1\n") == [key]
 
     @pytest.mark.parametrize(
         ("text", "place"),

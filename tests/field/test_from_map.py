@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from baselines.cli.main import main
-from mbn_marl.errors import FieldError
+from mbn_marl.errors import ConfigError, FieldError
 from mbn_marl.field import Field, load_field, load_map
 from tests.support.field_cases import places_of, write
 
@@ -137,6 +137,16 @@ def test_polygons_are_picked_and_holes_are_cut_out(tmp_path: Path) -> None:
 )
 def test_bad_maps(tmp_path: Path, features: Any, place: str) -> None:
     assert places_of(lambda: read(tmp_path, *features)) == [place]
+
+
+def test_every_problem_is_listed(tmp_path: Path) -> None:
+    line, wrong = {"type": "LineString", "coordinates": [[0, 0], [1, 1]]}, {"type": "Nope"}
+    found = places_of(lambda: read(tmp_path, polygon(ring(FARM)), line, wrong))
+    assert found == ["features[1]", "features[2]"]
+    for metres in (-1, "1"):
+        with pytest.raises(ConfigError) as caught:
+            load_map(tmp_path / "my farm.geojson", robots=0, metres_per_unit=metres)  # type: ignore[arg-type]
+        assert [one.split(":")[0] for one in caught.value.problems] == ["robots", "metres_per_unit"]
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:

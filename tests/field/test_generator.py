@@ -131,6 +131,11 @@ def broken_promises(field: Field, sampler: FieldSampler) -> list[str]:
     return [name for name, kept in promises.items() if not kept]
 
 
+def test_both_ends_of_a_range_are_named() -> None:
+    with pytest.raises(ConfigError, match=r"robots: .*equal to 1.*equal to 64"):
+        FieldSampler(robots=(0, 99))
+
+
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize(
     "changes",

@@ -182,7 +182,23 @@ def test_bad_input_is_named() -> None:
         ({"velocities": [*still, *still, (0.0, np.nan)]}, r"velocities\[2\]: "),
         ({"velocities": [(1.0, 0.0), (1.0,), (0.0, 0.0)]}, "velocities: "),
         *(({"velocities": velocities}, "velocities: ") for velocities in ("fast", object())),
-        *(({"visited": visited}, "visited: ") for visited in ([6], [-1], range(6))),
+        *(({"visited": v}, "visited: ") for v in ([6], [-1], range(6), 3, [[1]], [1.0], [True])),
+        ({"work_limit": -5}, "work_limit: "),
+        ({"time_limit": "5"}, "time_limit: "),
+        (
+            {"time_limit": -1, "visited": [9], "max_steps": 0},
+            "time_limit: (.|\n)*visited: (.|\n)*max_steps: ",
+        ),
+        ({"visited": [9], "velocities": [1]}, "visited: (.|\n)*velocities: "),
     ):
         with pytest.raises(ConfigError, match=place):
             plan("field_03", **settings)
+
+
+def test_a_start_on_an_roi_keeps_the_bound_below_the_plan() -> None:
+    hole = [(90, 60), (110, 60), (110, 140), (90, 140)]
+    square = [(0, 0), (200, 0), (200, 200), (0, 200)]
+    for rois in ([(20, 20), (30, 150)], [(20, 20)]):
+        found = plan(Field(square, rois, [(20, 20)], [hole]))
+        assert found.optimal and found.makespan is not None
+        assert (found.makespan == 1) == (len(rois) == 1)

@@ -99,6 +99,16 @@ def test_window_shows_the_frame() -> None:
 
 
 @pytest.mark.usefixtures("no_screen")
+def test_another_window_outlives_a_closed_one() -> None:
+    one, other = (Viewer("human", SIZE, frame_rate=1000.0) for _ in range(2))
+    one.draw(snapshot())
+    other.draw(snapshot())
+    one.close()
+    assert other.draw(snapshot()) is None
+    assert pygame.display.get_init() and not other.closed
+
+
+@pytest.mark.usefixtures("no_screen")
 def test_person_can_close_the_window() -> None:
     viewer = Viewer("human", SIZE, frame_rate=1000.0)
     viewer.draw(snapshot())

@@ -110,8 +110,16 @@ def test_deployed_episode_has_the_numbers_that_the_engine_draws() -> None:
     engine = BatchEngine(SMALL, 1, seed=3, **settings)
     engine.reset()
     shown = deploy(Wander(), SMALL, settings, Windy(), seed=3).episode
-    assert shown.config == engine.config_in()
-    assert not shown.config.drawn and not shown.drawn
+    assert shown.config == engine.config
+    assert shown.drawn == {name: numbers[0] for name, numbers in engine.drawn().items()}
+    windy = deploy(Wander(), SMALL, settings | {"wind": (Uniform(0.1, 0.3), 90.0)}, Windy(), seed=3)
+    assert shown.drawn.keys() == windy.episode.drawn.keys() == windy.episode.config.drawn.keys()
+    assert windy.tracking_error > 0.0
+
+
+def test_drawn_limits_do_not_change_the_scale_of_observations() -> None:
+    settings = {"observation": "entities", "v_clip": Uniform(1.0, 5.0), "max_steps": 20}
+    assert_same_episode(Wander, SMALL, settings)
 
 
 @pytest.fixture
@@ -165,16 +173,22 @@ def test_wrong_measurements_and_numbers_are_errors(
     tracked: tuple[BatchEngine, TrackedWorld],
 ) -> None:
     engine, world = tracked
+    with pytest.raises(StepError, match=r"allowed: measure\(\) first"):
+        world.command(np.zeros((2, 2)))
     for positions in ([(1.0, 2.0)], np.full((2, 2), np.nan)):
         with pytest.raises(ActionError):
             world.measure(positions, np.zeros((2, 2)))
     world.measure(SMALL.starts, np.zeros((2, 2)))
     with pytest.raises(StepError, match=r"allowed: command\(\) first"):
         world.measure(SMALL.starts, np.zeros((2, 2)))
-    with pytest.raises(ActionError, match="actions: "):
-        world.command([[1.0, 0.0], [1.0]])
-    with pytest.raises(ConfigError, match="speed_limit: "):
-        TrackedWorld(engine, np.nan)
+    for actions in ([[1.0, 0.0], [1.0]], np.zeros((3, 2))):
+        with pytest.raises(ActionError, match="actions: "):
+            world.command(actions)
+    for limit in (np.nan, "3"):
+        with pytest.raises(ConfigError, match="speed_limit: "):
+            TrackedWorld(engine, limit)
+    with pytest.raises(ConfigError, match="autoreset same_step; allowed: one world"):
+        TrackedWorld(BatchEngine(SMALL, 1))
     with pytest.raises(ConfigError, match=r"metres: 0\.0"):
         Scale(metres=0.0)
     assert (Scale(0.2, 0.5).speed, Scale(0.2, 0.5).acceleration(tau=2.0)) == (0.4, 0.4)

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import imageio_ffmpeg
@@ -159,6 +160,15 @@ load_mujoco().Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).clos
 """
     free = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
     subprocess.run([sys.executable, "-c", code], check=True, env=free)
+
+
+def test_a_mission_that_fails_leaves_no_film(tmp_path: Path) -> None:
+    film = Film(tmp_path / "film.mp4")
+    film._renderer = SimpleNamespace(close=lambda: None)
+    film._writer.add(np.zeros((64, 64, 3), np.uint8))
+    with pytest.raises(RuntimeError, match="lost"), MujocoSimulator(film=film):
+        raise RuntimeError("lost")
+    assert not [*tmp_path.iterdir()]
 
 
 @pytest.mark.all

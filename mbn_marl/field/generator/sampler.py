@@ -53,8 +53,8 @@ def _as_range(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
     try:
         low, high = handler((value, value) if isinstance(value, Real) else value)
     except ValidationError as error:
-        wrong = error.errors()[0]["msg"].removeprefix("Value error, ")
-        number = wrong.replace("a valid tuple", "a number")
+        wrong = (one["msg"].removeprefix("Value error, ") for one in error.errors())
+        number = "; ".join(dict.fromkeys(wrong)).replace("a valid tuple", "a number")
         raise ValueError(f"{number}, or a range (low, high) of such") from None
     if low > high:
         raise ValueError("Input should have a low end that is not above its high end")
@@ -103,6 +103,7 @@ class FieldSampler(Checked):
 
     def __init__(
         self,
+        /,
         families: Sequence[str] = ("convex",),
         robots: int | Sequence[int] = 3,
         rois: int | Sequence[int] = 6,

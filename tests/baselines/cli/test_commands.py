@@ -127,6 +127,8 @@ def test_runs_are_listed_with_their_state(
     (paths["going"] / "evaluations.json").write_text(
         '[{"success_rate": 0.25, "makespan": null, "return_mean": 1.0}]'
     )
+    (tmp_path / "stray").mkdir()
+    (tmp_path / "stray" / "field.yaml").touch()
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("COLUMNS", raising=False)
     assert main(["runs", "."]) == 0

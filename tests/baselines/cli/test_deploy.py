@@ -79,6 +79,10 @@ def test_wind_speeds_are_listed_or_in_even_steps() -> None:
         ("zoo:field_03 --figure x.png", "figure: "),
         ("zoo:field_03 --video x.avi", "video: x.avi"),
         ("zoo:field_03 --condition windy --wind-speeds 0.1", "windy"),
+        ("zoo:field_03 --sim plane --vehicle balancer", "vehicle: "),
+        ("zoo:field_03 --camera top", "camera: "),
+        ("zoo:field_03 --wind-angle 90", "wind_angle: "),
+        ("zoo:field_03 --port 1 --timeout 1", "timeout: "),
     ],
 )
 def test_wrong_options_are_refused_by_place(options: str, place: str, refusal: Refusal) -> None:

@@ -28,6 +28,17 @@ def test_comments_and_layout_stay(line: str, tmp_path: Path) -> None:
     assert "# the end" in kept and (("# guessed" in path.read_text()) == ("guessed" in line))
 
 
+def test_a_link_its_mode_and_its_ends_of_lines_stay(tmp_path: Path) -> None:
+    path, link = tmp_path / "field_03.yaml", tmp_path / "link.yaml"
+    path.write_bytes(CATALOGUE.read_bytes().replace(b"\n", b"\r\n"))
+    path.chmod(0o600)
+    link.symlink_to(path)
+    write_optimum(link, 18)
+    assert link.is_symlink() and load_field(path).optimal_makespan == 18
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert path.read_bytes().count(b"\r\n") == CATALOGUE.read_bytes().count(b"\n")
+
+
 def test_a_file_without_lines_of_yaml_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "own.yaml"
     lists = "vertices: [[0, 0], [90, 0], [90, 90]], rois: [[50, 20]], starts: [[40, 10]]"

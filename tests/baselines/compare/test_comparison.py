@@ -12,13 +12,15 @@ from pandas import DataFrame
 from pytest import approx
 from rich.console import Console
 
+from baselines.cli.compare import train_and_compare
 from baselines.compare.curves import draw_gaps
 from baselines.compare.records import Results, RunRecord, find_records
-from baselines.compare.report import marl_eval_data
+from baselines.compare.report import marl_eval_data, report_comparison
 from baselines.compare.summary import summarise
 from baselines.compare.tables import overall_tables, print_comparison
 from baselines.compare.text_table import TextTable, csv_text
-from baselines.runs.files import RunError, write_json
+from baselines.compare.variants import CompareConfig
+from baselines.runs.files import Place, RunError, write_json
 from baselines.runs.folder import RunFolder
 from mbn_marl.config import NavigationConfig
 from mbn_marl.errors import ConfigError, MbnError
@@ -271,9 +273,31 @@ def test_the_result_in_words(
     comparison = summarise(Results.of(make_runs(tmp_path, {"ppo-joint": joint, "mappo": mappo})))
     assert words in comparison.verdict
     caption = overall_tables(comparison)["Differences of SPL"].caption
-    assert ("80 %" in caption) == (len(joint) > 1)
+    assert ("80 %" in caption) == (len(joint) > 3)  # 2 of the 20 ways to share six runs is 10 %
     asked = "Centralized (ppo-joint) or decentralized (mappo) on field_03, 400 env-steps a run, "
     assert comparison.question.startswith(asked)
+
+
+def test_a_report_that_fails_leaves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    make_runs(tmp_path / "runs", {"mappo": [1.0, 0.5]})
+    with pytest.raises(MbnError):  # these runs have no policy to draw
+        report_comparison([tmp_path / "runs"], tmp_path / "out.md", command="mbn report")
+    assert [path.name for path in tmp_path.iterdir()] == ["runs"]
+
+
+def test_a_folder_whose_name_ends_as_a_page_is_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    places: list[Place] = []
+    results = Results.of(make_runs(tmp_path, {"mappo": [1.0, 0.5]}))
+    monkeypatch.setattr("baselines.compare.run.train_all_runs", lambda *_, **how: results)
+    monkeypatch.setattr(
+        "baselines.compare.report.write_comparison",
+        lambda results, place: (places.append(place), summarise(results))[1],
+    )
+    train_and_compare(CompareConfig(), tmp_path / "new.md", command="mbn compare")
+    assert places == [Place(tmp_path / "new.md" / "comparison.md", tmp_path / "new.md")]
 
 
 def test_the_result_changes_no_library_with_the_form(tmp_path: Path) -> None:

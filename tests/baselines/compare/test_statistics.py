@@ -60,11 +60,13 @@ def test_labels_are_permuted_within_fields(ours: Any, theirs: Any, p_value: floa
 
 def test_corrections_and_power_by_hand() -> None:
     assert stratified.holm([0.01, 0.04, 0.03, 0.9]) == pytest.approx([0.04, 0.09, 0.09, 0.9])
-    # The variance of 0 and 2 is 2, that of their mean 1, of the mean of two such fields 1/2.
-    assert stratified.detectable(np.array([[0.0, 2.0]] * 2), np.zeros((2, 2))) == pytest.approx(
-        2.8 * np.sqrt(0.5)
-    )
-    assert stratified.detectable(np.zeros((2, 1)), np.zeros((2, 1))) is None
+    # The variance of 0, 1 and 2 is 1, that of their mean 1/3, of the mean of two such fields 1/6.
+    some = np.array([[0.0, 1.0, 2.0]] * 2)
+    assert stratified.detectable(some, np.zeros((2, 3))) == pytest.approx(2.8 * np.sqrt(1 / 6))
+    # The least p-value of two fields is 2/400 with three seeds, 2/36 with two, 2/4 with one.
+    assert stratified.detectable(some, np.zeros((2, 3)), family=10) is None
+    for seeds in (1, 2):
+        assert stratified.detectable(some[:, :seeds], np.zeros((2, seeds))) is None
 
 
 def run(steps: Any, returns: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

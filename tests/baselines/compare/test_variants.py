@@ -13,6 +13,7 @@ from baselines.training.config import Hyperparameters, TrainConfig, parse, words
 from baselines.training.train import prepare
 from mbn_marl import Uniform
 from mbn_marl.errors import ConfigError
+from mbn_marl.field import load_field, save_field
 
 AIDS = TrainingAids.model_fields.keys() - Hyperparameters.model_fields.keys()
 
@@ -65,10 +66,19 @@ def test_variants_in_a_file_have_labels(tmp_path: Path) -> None:
     assert run.command.endswith("--label low --set entropy=0.01")
     assert team.training("field_03", 2).command.endswith("--set environment.reward_sharing=team")
     path.write_text("team: {algorithm: ippo, colour: red}\n")
-    with pytest.raises(ConfigError, match=r"study\.yaml: team.*\n?.*colour: "):
+    with pytest.raises(ConfigError, match=r"study\.yaml: .*\n?.*team: colour: "):
+        read_variants(path)
+    path.write_text("one: {algorithm: ippo, colour: red}\ntwo: {algorithm: 5}\n")
+    with pytest.raises(ConfigError, match=r"one: colour: (.|\n)*two: algorithm: "):
         read_variants(path)
     with pytest.raises(ConfigError, match="label: "):
         TrainConfig("ippo", "field_03", label="a/b")
+
+
+def test_two_fields_of_one_name_are_refused_before_training(tmp_path: Path) -> None:
+    save_field(load_field("field_03"), tmp_path / "mine.yaml")
+    with pytest.raises(ConfigError, match="fields: two are named field_03"):
+        CompareConfig(fields=("field_03", str(tmp_path / "mine.yaml")))
 
 
 def test_the_default_compares_like_with_like() -> None:

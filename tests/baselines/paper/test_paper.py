@@ -188,6 +188,27 @@ def test_comparisons_and_what_was_moved_aside_are_left_out(
     assert find_trainings([demo]).runs.seed.tolist() == [33, 34]
 
 
+def test_runs_that_are_not_their_settings_are_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_run(tmp_path, [(1, 3e6, 0, 3e6, 3e6)])
+    for seed, changes in enumerate(
+        (
+            {"environment": {"tau": 0.5}},
+            {"hyperparameters": {"reward_scale": 0.5}},
+        )
+    ):
+        other = make_run(tmp_path, [(1, 9e6, 0, 9e6, 9e6)], seed=seed)
+        write_json(other / "config.json", {**RunFolder.open(other).config, **changes})
+    assert "| PPO | mean | -0.2128 | 3.0000 |" in report(tmp_path)
+    lines = capsys.readouterr().out.splitlines()[:2]
+    ends = ("environment", "hyperparameters")
+    assert all(line.startswith("left out: ") for line in lines)
+    assert sorted(line.split("setting's ")[1] for line in lines) == sorted(ends)
+    with pytest.raises(RunError, match="no run of a setting as it is"):
+        find_trainings([other])
+
+
 def test_of_two_runs_of_a_cell_the_finished_one_is_taken(tmp_path: Path) -> None:
     killed = make_run(tmp_path / "a", [(1, 9e6, 0, 9e6, 9e6)], finished=False)
     whole = make_run(tmp_path / "b", [(1, 3e6, 0, 3e6, 3e6)])
