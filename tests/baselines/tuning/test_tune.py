@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -78,11 +79,14 @@ def test_tune_writes_what_setting_b_reads(
     assert float(row["value"]) == final["stochastic"]["return_mean"]
     read = find_algorithm("a2c").resolve({}, setting="B", file=study / "a2c.yaml")
     assert read.model == values
-    # A report copies the figure, and does not take the trials for runs.
+    # A report copies the figure, and does not take the trials for runs of a setting.
     words = ["report", "--paper", str(study), "-o", str(tmp_path / "out")]
-    assert main(words) == 2
-    assert str(study) in capsys.readouterr().err
-    words[2] = str(run)
+    for words[2] in (str(study), str(run)):
+        assert main(words) == 2
+        assert words[2] in capsys.readouterr().err
+    words[2] = str(shutil.copytree(run, tmp_path / "plain"))
+    del config["hyperparameters"]
+    (tmp_path / "plain" / "config.json").write_text(json.dumps(config))
     assert main([*words, "--study", str(study)]) == 0
     copied = (tmp_path / "out" / "study_history.png").read_bytes()
     assert copied == (study / "history.png").read_bytes() and copied.startswith(b"\x89PNG")
