@@ -61,12 +61,14 @@ def report_comparison(
         write_text(claim_file(out, force=force), text)
     else:
         place = Place.of(out, PAGE)
+        ours = force or not place.folder.exists()
         place.claim(force=force)
         try:
             write_provenance(place.folder, command)
             comparison = write_comparison(results, place)
         except BaseException:
-            shutil.rmtree(place.folder)  # half a report would be in the way of the next
+            if ours:  # half a report would be in the way of the next
+                shutil.rmtree(place.folder, ignore_errors=True)
             raise
     if marl_eval is not None:
         write_json(claim_file(marl_eval, force=force), marl_eval_data(results))

@@ -81,7 +81,7 @@ def detectable(ours: FloatArray, theirs: FloatArray, family: int = 1) -> float |
     above 5 %.
     """
     fields, seeds = ours.shape
-    least = 2.0 / math.comb(2 * seeds, seeds) ** fields
+    least = 2.0 * float(math.comb(2 * seeds, seeds)) ** -fields
     if seeds == 1 or family * least >= CERTAIN:
         return None
     squares = [(side.var(axis=1, ddof=1) / side.shape[1]).sum() for side in (ours, theirs)]

@@ -99,8 +99,8 @@ def find_trainings(
 ) -> Trainings:
     """Read the runs at ``paths``: run folders, folders with run folders anywhere inside, reports.
 
-    Inside, studies, comparisons and what ``--force`` moved aside are left out, and so are runs with
-    another environment or other hyperparameters than their setting's; ``note`` says so.
+    Inside, studies, comparisons and what ``--force`` moved aside are left out. So are runs with
+    another environment or other hyperparameters than their setting's. ``note`` says so.
     Of two runs of one cell and seed, one of them unfinished, the finished one is read. A RunError
     names two that are alike otherwise, and what cannot be read.
     """
@@ -142,16 +142,12 @@ def _one_of_each(found: Sequence[_Training], note: Callable[[str], None]) -> lis
 
 def _changed(record: RunRecord) -> list[str]:
     """Name what differs from the run's setting; the number of worlds may."""
-    config = record.config
-    setting, file = config["setting"], config.get("hyperparams")
-    plain = find_algorithm(config["algorithm"]).resolve(
-        {},
-        setting="A" if setting == "C" else setting,
-        num_envs=config.get("num_envs"),
-        file=None if file is None else Path(file),
-    )
+    config, algorithm = record.config, find_algorithm(record.config["algorithm"])
+    plain = algorithm.resolve({}, setting=config["setting"], num_envs=config.get("num_envs"))
     numbers = plain.model_dump(mode="json", exclude={"source", "skipped"})
     theirs = config.get("hyperparameters") or {}
+    if config.get("hyperparams") is not None:  # those of a file, which need not be there any more
+        theirs = {}
     different = {
         "hyperparameters": any(theirs.get(name, one) != one for name, one in numbers.items()),
         "environment": make_config(config.get("environment") or plain.environment)

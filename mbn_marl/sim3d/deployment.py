@@ -98,21 +98,25 @@ def deploy(
     simulator.reset(Mission(field, starts, now.wind_increment(), now.tau, now.roi_radius))
     seconds, log, commands = 0.0, EpisodeLog(engine), list[Floats]()
     failed = np.zeros(engine.n_robots, np.bool_)
-    while engine.running[0]:
-        actions = np.asarray(policy.act_in(engine, observations)[0])
-        command = world.command(actions)
-        for robot in np.flatnonzero(command.failed & ~failed):
-            simulator.fail(int(robot), kind)
-        failed = command.failed
-        commands.append(command.velocities)
-        simulator.command(command.velocities)
-        begun = process_time()
-        simulator.step()
-        seconds += process_time() - begun
-        motion = simulator.motion()
-        world.measure(motion.positions, motion.velocities)
-        for roi in log.add(actions):
-            simulator.spray(roi)
+    try:
+        while engine.running[0]:
+            actions = np.asarray(policy.act_in(engine, observations)[0])
+            command = world.command(actions)
+            for robot in np.flatnonzero(command.failed & ~failed):
+                simulator.fail(int(robot), kind)
+            failed = command.failed
+            commands.append(command.velocities)
+            simulator.command(command.velocities)
+            begun = process_time()
+            simulator.step()
+            seconds += process_time() - begun
+            motion = simulator.motion()
+            world.measure(motion.positions, motion.velocities)
+            for roi in log.add(actions):
+                simulator.spray(roi)
+    except BaseException:
+        simulator.abandon()
+        raise
     return Deployment(
         episode=log.episode(config, source, seed),
         commands=np.stack(commands),

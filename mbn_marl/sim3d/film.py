@@ -79,12 +79,12 @@ class Film:
                 scene.ngeom += 1
         return self._renderer.render()
 
-    def discard(self, *error: Any) -> None:
-        """Leave no film of a mission that failed; the arguments are those of ``__exit__``."""
+    def discard(self) -> None:
+        """Leave no film, while an error is handled."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
-            self._writer.__exit__(*error)
+            self._writer.__exit__(*sys.exc_info())
 
     def close(self) -> None:
         """Rest on the end, and complete the file; closing twice does no harm."""

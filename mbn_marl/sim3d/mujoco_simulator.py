@@ -128,7 +128,6 @@ class MujocoSimulator(Simulator):
         if self._film is not None:
             self._film.close()
 
-    def __exit__(self, *error: object) -> None:
-        if self._film is not None and any(error):
-            self._film.discard(*error)
-        self.close()
+    def abandon(self) -> None:
+        if self._film is not None:
+            self._film.discard()

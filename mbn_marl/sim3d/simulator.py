@@ -94,6 +94,9 @@ class Simulator(AbstractContextManager["Simulator"]):
     def spray(self, roi: int) -> None:
         """Show that the weed at an ROI, 0 to m - 1, has been sprayed."""
 
+    def abandon(self) -> None:
+        """Leave nothing of a mission that an error has ended, while that is handled."""
+
     def close(self) -> None:
         """Free what the simulator holds; closing twice does no harm."""
 

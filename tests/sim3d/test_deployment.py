@@ -117,6 +117,22 @@ def test_deployed_episode_has_the_numbers_that_the_engine_draws() -> None:
     assert windy.tracking_error > 0.0
 
 
+def test_a_mission_that_an_error_ends_is_abandoned() -> None:
+    class Lost(PlaneSimulator):
+        abandoned = 0
+
+        def step(self) -> None:
+            raise RuntimeError("lost")
+
+        def abandon(self) -> None:
+            self.abandoned += 1
+
+    simulator = Lost()
+    with pytest.raises(RuntimeError, match="lost"):
+        deploy(Wander(), SMALL, TWO, simulator)
+    assert simulator.abandoned == 1
+
+
 def test_drawn_limits_do_not_change_the_scale_of_observations() -> None:
     settings = {"observation": "entities", "v_clip": Uniform(1.0, 5.0), "max_steps": 20}
     assert_same_episode(Wander, SMALL, settings)

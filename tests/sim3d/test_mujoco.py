@@ -166,8 +166,14 @@ def test_a_mission_that_fails_leaves_no_film(tmp_path: Path) -> None:
     film = Film(tmp_path / "film.mp4")
     film._renderer = SimpleNamespace(close=lambda: None)
     film._writer.add(np.zeros((64, 64, 3), np.uint8))
-    with pytest.raises(RuntimeError, match="lost"), MujocoSimulator(film=film):
-        raise RuntimeError("lost")
+    simulator = MujocoSimulator(film=film)
+    with pytest.raises(RuntimeError, match="lost"):
+        try:
+            raise RuntimeError("lost")
+        except RuntimeError:
+            simulator.abandon()
+            raise
+    simulator.close()
     assert not [*tmp_path.iterdir()]
 
 
