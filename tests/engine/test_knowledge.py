@@ -105,6 +105,11 @@ def test_decoys_are_drawn_alike_and_told_to_nobody() -> None:
 
 
 @pytest.mark.slow
+def test_no_decoys_as_a_range_are_none() -> None:
+    assert make_config({"decoys": (0, 0)}) == make_config({})
+    assert make_config({"decoys": (0, 0), "empty_rois": (1,), **OWN}).empty_rois == (1,)
+
+
 def test_given_rois_are_empty_in_all_episodes() -> None:
     engine = BatchEngine("field_03", 3, empty_rois=(4, 1, 4), **OWN)
     for _ in range(2):

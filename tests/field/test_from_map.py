@@ -72,6 +72,9 @@ WKT = "POLYGON ((0 0, 400 0, 400 300, 0 300, 0 0), (180 140, 180 180, 220 180, 2
         (f"SRID=32632;{WKT}\n".replace("POLYGON", "Polygon"), 8),
         (f"\ufeff{WKT}\nPOINT (50 50)\nMULTIPOINT Z (350 250 1, 60 70 1)", 3),
         (f"GEOMETRYCOLLECTION ({WKT}, POINT (50 50))", 1),
+        # Open rings, beside points that are no ring.
+        (f"{WKT.replace(', 0 0)', ')')}\nMULTIPOINT ((50 50), (350 250), (60 70))", 3),
+        (f"{WKT.replace(', 0 0)', ')')}\nMULTIPOINT (50 50, 350 250, 60 70)", 3),
     ],
 )
 def test_wkt(tmp_path: Path, text: str, rois: int) -> None:
