@@ -1,7 +1,5 @@
 """Settings of the whole test run."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

@@ -3,8 +3,6 @@
 The wheel is installed without extras, with the oldest allowed version of every dependency.
 """
 
-from __future__ import annotations
-
 import subprocess
 import tempfile
 import tomllib

@@ -4,8 +4,6 @@ It installs the wheel into a new virtual environment and runs each page's comman
 tiny budgets, from an empty folder; see CONTRIBUTING.md.
 """
 
-from __future__ import annotations
-
 import os
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """Pages, notebooks, docstrings: their code runs, their names exist, they say what they should."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import os

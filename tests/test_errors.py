@@ -1,7 +1,5 @@
 """A name that is not known is answered with its place, the one that may be meant, and all."""
 
-from __future__ import annotations
-
 import pytest
 
 from baselines.algorithms import find_algorithm

@@ -1,7 +1,5 @@
 """The scripts of ``examples`` that run on the versions of ``constraints.txt`` do so, tiny."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Imports point one way, and what is heavy is loaded only by those who use it."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import re

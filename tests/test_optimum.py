@@ -1,7 +1,5 @@
 """The proved optimum of a field as a return, and the gap to it in the infos."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The wheel, and the package's public names, loaded on first use."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tools of other libraries, on the environments as they are."""
 
-from __future__ import annotations
-
 import sys
 from types import ModuleType
 

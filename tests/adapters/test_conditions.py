@@ -1,7 +1,5 @@
 """The checkers of every library pass in a storm, and infos tell what was drawn."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Robots that fail, in each adapter: kept, or terminated and gone; masked; flagged."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from supersuit import black_death_v3, pettingzoo_env_to_vec_env_v1

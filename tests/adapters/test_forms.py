@@ -1,7 +1,5 @@
 """The three forms and the oracle agree step by step, on random worlds and in every situation."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The centralised form: Gymnasium's checks, its own vector, numbers by hand, and bad input."""
 
-from __future__ import annotations
-
 import copy
 
 import gymnasium

@@ -1,7 +1,5 @@
 """The decentralised form: PettingZoo's checks, numbers worked out by hand, and bad input."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

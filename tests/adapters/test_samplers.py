@@ -1,7 +1,5 @@
 """Every form takes a sampler of fields, and a field for one episode."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

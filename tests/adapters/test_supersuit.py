@@ -1,7 +1,5 @@
 """SuperSuit's way from PettingZoo to Stable-Baselines3: it trains, and its limits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from stable_baselines3 import PPO

@@ -1,7 +1,5 @@
 """Fixtures of the tests of baselines."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 

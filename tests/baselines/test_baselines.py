@@ -1,7 +1,5 @@
 """Statistics, storage, hyperparameters, networks and evaluation, against numbers worked by hand."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``python -m benchmarks``: its timing by hand, and every row of speed in a tiny run."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

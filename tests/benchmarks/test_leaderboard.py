@@ -1,7 +1,5 @@
 """``python -m benchmarks leaderboard``, on a split with one field a tier."""
 
-from __future__ import annotations
-
 import copy
 import shutil
 from collections.abc import Iterator

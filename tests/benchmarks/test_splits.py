@@ -1,7 +1,5 @@
 """``python -m benchmarks splits``, in small."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """``python -m benchmarks strip`` and ``tables``: figures and tables of made-up runs, by hand."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

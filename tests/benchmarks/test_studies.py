@@ -1,7 +1,5 @@
 """The studies of learning."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

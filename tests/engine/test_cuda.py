@@ -1,7 +1,5 @@
 """The CUDA backend in Numba's simulator, compiled for a GPU, and on a GPU where there is one."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

@@ -1,7 +1,5 @@
 """Bitwise determinism over many steps and resets, batches, threads and instances."""
 
-from __future__ import annotations
-
 import copy
 import multiprocessing
 from collections.abc import Callable

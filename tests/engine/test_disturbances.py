@@ -1,7 +1,5 @@
 """Random numbers, gusts, and the features that a configuration leaves out."""
 
-from __future__ import annotations
-
 import math
 from statistics import NormalDist
 from typing import Any

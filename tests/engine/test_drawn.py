@@ -1,7 +1,5 @@
 """Numbers that episodes draw, and named conditions; ``test_forms`` has the oracle draw too."""
 
-from __future__ import annotations
-
 import re
 from contextlib import nullcontext
 from typing import Any

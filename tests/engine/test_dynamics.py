@@ -1,7 +1,5 @@
 """Robots of each dynamics, and failed ones, by hand; ``test_forms`` has the oracle compare all."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Bad input to ``BatchEngine``: an error that names the place, and nothing has changed."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math

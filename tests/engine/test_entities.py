@@ -1,7 +1,5 @@
 """``entities`` by hand; ``test_forms`` compares it with the oracle."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

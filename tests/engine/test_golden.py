@@ -1,7 +1,5 @@
 """All golden episodes, through every form of the environment, in both precisions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import groupby

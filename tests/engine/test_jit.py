@@ -1,7 +1,5 @@
 """Compiled code is reused between processes, and never after a rule has changed."""
 
-from __future__ import annotations
-
 import os
 import resource
 import shutil

@@ -1,7 +1,5 @@
 """ROIs for robots of one kind, by hand; ``test_forms`` compares the oracle."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

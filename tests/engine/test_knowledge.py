@@ -1,7 +1,5 @@
 """Robots that know what they have seen and heard, by hand; ``test_forms`` compares the oracle."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from itertools import combinations

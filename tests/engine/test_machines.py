@@ -1,7 +1,5 @@
 """The same bits on every machine: digests of what two batches compute (specification.md)."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import platform

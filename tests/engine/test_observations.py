@@ -1,7 +1,5 @@
 """Observations: ``lidar`` by hand, and entries that every observation has."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The oracle on golden episodes, and its ties by hand, before anything is compared with it."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

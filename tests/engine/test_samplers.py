@@ -1,7 +1,5 @@
 """A field for every world, a new one for every episode."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A saved state that no engine has written is refused or harmless."""
 
-from __future__ import annotations
-
 import multiprocessing
 from collections.abc import Callable
 from typing import Any

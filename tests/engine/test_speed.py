@@ -1,7 +1,5 @@
 """Speed, as ratios within one run: machines differ and are noisy, ratios much less."""
 
-from __future__ import annotations
-
 from benchmarks.speed import Budget, engine_case, interleaved, plain_case
 from mbn_marl import BatchEngine
 

@@ -1,7 +1,5 @@
 """Episodes: recorded from every form of the environment, kept as JSON, replayed bit for bit."""
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Fields: the value, and the rules, each by a case worked out by hand."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math

@@ -1,7 +1,5 @@
 """Field files: the catalogue, the formats, and hostile input."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

@@ -1,7 +1,5 @@
 """Fields from maps: GeoJSON and WKT, degrees and metres, and what is mended."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

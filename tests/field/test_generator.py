@@ -1,7 +1,5 @@
 """Generated fields: the same everywhere, sound by shapely's word, and of the shapes promised."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import pickle

@@ -1,7 +1,5 @@
 """Frozen fields: read from a folder, and those that are installed."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Reads the golden episodes; README.md says what they are."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

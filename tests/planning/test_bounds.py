@@ -1,7 +1,5 @@
 """The proved bounds: closed forms, the relaxation, and brute force on small instances."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Plans: verified in the engine, proved or with an honest interval."""
 
-from __future__ import annotations
-
 import itertools
 from functools import cache
 

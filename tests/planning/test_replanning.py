@@ -1,7 +1,5 @@
 """The foresight of controllers, and plans round robots in the way."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The braking test with numbers worked out by hand: the force changes a velocity by 0.5 a step."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any
 

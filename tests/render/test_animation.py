@@ -1,7 +1,5 @@
 """GIF and MP4: what they hold, what is refused, and what is held in memory."""
 
-from __future__ import annotations
-
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path

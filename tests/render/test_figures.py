@@ -1,7 +1,5 @@
 """Figures: what they show is in the right place, and what cannot be shown is refused."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

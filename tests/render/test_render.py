@@ -1,7 +1,5 @@
 """Pictures: their parts and places."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

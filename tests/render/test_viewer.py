@@ -1,7 +1,5 @@
 """The viewer: arrays without a display, windows, sizes, and what is refused."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

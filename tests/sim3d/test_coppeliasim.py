@@ -1,7 +1,5 @@
 """The CoppeliaSim backend, through the official client, against a server of the same protocol."""
 
-from __future__ import annotations
-
 import re
 import sys
 import time

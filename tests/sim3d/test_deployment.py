@@ -1,7 +1,5 @@
 """The deployment loop: in the plane it is the environment, elsewhere it judges what is measured."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """MuJoCo: vehicles with dynamics, their scene, the policies that fly them, and the film."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

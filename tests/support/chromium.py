@@ -1,7 +1,5 @@
 """Drives a real headless Chromium through its debugging pipe, with nothing but the browser."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

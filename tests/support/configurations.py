@@ -1,7 +1,5 @@
 """Configurations that tests share, and how the processes of a run share what they compile."""
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import tempfile

@@ -1,7 +1,5 @@
 """A stand-in for CoppeliaSim: its remote API's protocol, version 2, and a scene without physics."""
 
-from __future__ import annotations
-
 import socket
 import threading
 from collections.abc import Sequence

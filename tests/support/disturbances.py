@@ -1,7 +1,5 @@
 """The oracle's random numbers and disturbances: ``docs/specification.md``, ``conditions.md``."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The numbers that an episode of the oracle draws: ``docs/conditions.md``, "Drawn numbers"."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Work that dies, for the processes that do it: they import nothing heavier than this."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Valid fields and files that the tests of fields start from."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The forms of the environment with one interface: reset and step one world."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

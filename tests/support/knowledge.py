@@ -1,7 +1,5 @@
 """The oracle's knowledge: ``docs/mdp.md``, "Knowledge"."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

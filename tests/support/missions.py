@@ -1,7 +1,5 @@
 """A small field with a hole that is not convex, and what is done in it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from baselines.policies.policy import Policy

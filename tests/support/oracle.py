@@ -1,7 +1,5 @@
 """A second, slow implementation of the MDP: one world, robot by robot."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

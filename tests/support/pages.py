@@ -1,7 +1,5 @@
 """The code blocks of the README and of the site's pages, and a reader who does what they say."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Snapshots to draw, and what is found in their pictures."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

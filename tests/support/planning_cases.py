@@ -1,7 +1,5 @@
 """Instances for the planner's tests, and an independent brute-force answer for small ones."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any

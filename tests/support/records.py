@@ -1,7 +1,5 @@
 """Made-up runs to compare, and a comparison that is trained in seconds."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

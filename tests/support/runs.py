@@ -1,7 +1,5 @@
 """Small runs, interrupted ones, and whether two runs are the same bit for bit."""
 
-from __future__ import annotations
-
 import csv
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The oracle's rewards: the events of a step, and their worth under both rule sets."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

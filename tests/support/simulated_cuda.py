@@ -1,7 +1,5 @@
 """The CUDA backend in Numba's simulator, where kernels are Python and threads are Python's."""
 
-from __future__ import annotations
-
 import copy
 import threading
 from functools import partial
@@ -33,7 +31,7 @@ SETTINGS: dict[str, Any] = {"random_starts": True, "max_steps": 40, "wind": (0.0
 class SimulatedDevice:
     torch = torch.device("cpu")
 
-    def array(self, tensor: torch.Tensor) -> NDArray[Any]:
+    def array(self, tensor: Any) -> NDArray[Any]:
         return tensor.numpy()
 
     def is_capturing(self) -> bool:

@@ -1,7 +1,5 @@
 """The oracle's observation ``entities``: ``docs/observations.md``."""
 
-from __future__ import annotations
-
 import cmath
 import functools
 import heapq

@@ -1,7 +1,5 @@
 """The oracle's dynamics: each of ``docs/mdp.md``, in its order of operations."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

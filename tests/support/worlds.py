@@ -1,7 +1,5 @@
 """Random worlds for property tests: fields, settings and robots that get into every situation."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The pages, in a real browser: they load alone, and show what episodes and runs say."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """``mbn deploy``: the table, the files, and what is refused before anything is touched."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

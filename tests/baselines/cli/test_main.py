@@ -1,7 +1,5 @@
 """However a command ends, it says so in a line, and nothing ends in a traceback."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """A proved optimum goes into the field file, and all else in it stays as it is."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

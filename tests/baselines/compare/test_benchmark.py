@@ -1,7 +1,5 @@
 """``mbn benchmark`` on small splits made here."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

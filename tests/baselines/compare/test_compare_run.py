@@ -1,7 +1,5 @@
 """Training what is compared: interrupted, resumed, and when a learner diverges."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

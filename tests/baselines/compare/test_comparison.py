@@ -1,7 +1,5 @@
 """Comparisons: what may be compared, and what tables and files say."""
 
-from __future__ import annotations
-
 import io
 import json
 from pathlib import Path

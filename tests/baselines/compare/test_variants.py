@@ -1,7 +1,5 @@
 """Variants of algorithms: from the command line, from a file, and as overrides."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

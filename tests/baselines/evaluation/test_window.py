@@ -1,7 +1,5 @@
 """Watching and driving in a window that nobody sees."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The report on the paper's experiments: cells by hand, what is missing, and how it says no."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Sequence

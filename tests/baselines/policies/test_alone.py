@@ -1,7 +1,5 @@
 """Robots that know only their own: each acts on its row, with its memory, and nothing else."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Policies without learning, and their commands."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Policies as ONNX files that act as the policy and say what they need."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

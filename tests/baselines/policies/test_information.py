@@ -1,7 +1,5 @@
 """The information that a policy acts on."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """``from baselines import load_policy``: how a policy comes into a user's program."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Run folders: what they hold, what they refuse, and one process at a time."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import json

@@ -1,7 +1,5 @@
 """The six centralised algorithms: every setting, their hyperparameters, transfer."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

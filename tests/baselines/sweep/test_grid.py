@@ -1,7 +1,5 @@
 """Many runs: each is trained once, resumed after kill -9, and stops no other."""
 
-from __future__ import annotations
-
 import multiprocessing
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Grids and studies on a real Ray cluster on this machine, of several nodes; one is lost."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import time

@@ -1,7 +1,5 @@
 """Grids as files: what they declare, and every problem of one at once."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

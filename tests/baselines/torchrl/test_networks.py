@@ -1,7 +1,5 @@
 """Networks with a memory, over teams, and shared in part."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The multi-agent trainer: hyperparameters, aids and targets."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Training aids: other starts, shorter episodes, when ROIs shrink and grow."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A run: it is resumed as if nothing had happened, logged, and learns."""
 
-from __future__ import annotations
-
 import resource
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Tuning: from the command line, interrupted, by several processes, pruned, diverged."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil

@@ -1,7 +1,5 @@
 """The zoo: its entries, what their cards say, and how an entry is made."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
