@@ -7,7 +7,6 @@ import re
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import nbformat
@@ -31,9 +30,7 @@ CODE = re.compile(r"`(?!mbn_marl)(\w+)\.(\w+)`")
 
 
 @pytest.mark.slow
-def test_commands_exist_and_marks_are_known(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_commands_exist_and_marks_are_known(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     pages.write_own_files(tmp_path)
     for page in PAGES:
@@ -64,14 +61,14 @@ CALLS = re.compile(
 
 
 @pytest.mark.parametrize("page", ["README", "docs/tasks", "docs/clients"])
-def test_python_in_tables_runs(page: str) -> None:
+def test_python_in_tables_runs(page):
     for code in filter(CALLS.match, pages.code_in_tables(ROOT / f"{page}.md")):
         exec(f"import gymnasium, pettingzoo\nfrom mbn_marl import *\n{code}", {})
 
 
 @pytest.mark.all
 @pytest.mark.parametrize("page", RUN, ids=lambda page: str(page.relative_to(ROOT)))
-def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # a window that nobody sees
     pages.write_own_files(tmp_path)
@@ -79,7 +76,7 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.all
-def test_recipes_fit_the_code(tmp_path: Path) -> None:
+def test_recipes_fit_the_code(tmp_path):
     for package in ("mbn_marl", "baselines", "envs_catalog"):
         shutil.copytree(ROOT / package, tmp_path / package)
     own = {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
@@ -107,13 +104,13 @@ def test_recipes_fit_the_code(tmp_path: Path) -> None:
 
 @pytest.mark.all
 @pytest.mark.parametrize("path", notebooks.notebooks(), ids=lambda path: path.stem)
-def test_notebook_prints_what_it_keeps(path: Path) -> None:
+def test_notebook_prints_what_it_keeps(path):
     kept = nbformat.read(path, as_version=4)
     assert notebooks.texts(notebooks.run(path)) == notebooks.texts(kept)
     assert any(text for cell in notebooks.texts(kept) for text in cell)
 
 
-def test_shapes() -> None:
+def test_shapes():
     env = parallel_env()
     env.reset()
     spaces = env.action_space("robot_0"), env.observation_space("robot_0"), env.state_space
@@ -122,13 +119,13 @@ def test_shapes() -> None:
         assert f"`{space.shape}`" in row, name
 
 
-def test_linked_files_exist() -> None:
+def test_linked_files_exist():
     for page in PAGES:
         for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
             assert target.startswith("http") or (page.parent / target).is_file(), (page, target)
 
 
-def test_the_code_of_the_equations_exists() -> None:
+def test_the_code_of_the_equations_exists():
     page = (ROOT / "docs" / "mdp.md").read_text(encoding="utf-8")
     section = page.split("## The equations")[1].split("\n## ")[0]
     named = CODE.findall(section)
@@ -139,7 +136,7 @@ def test_the_code_of_the_equations_exists() -> None:
         assert hasattr(importlib.import_module(f"{package}.{module}"), name), (module, name)
 
 
-def test_api_pages_have_every_public_name() -> None:
+def test_api_pages_have_every_public_name():
     texts = [path.read_text(encoding="utf-8") for path in (ROOT / "docs" / "api").glob("*.md")]
     documented = set(re.findall(r"auto\w+:: (\S+)", "\n".join(texts)))
     last = {name.rpartition(".")[2] for name in documented}
@@ -150,7 +147,7 @@ def test_api_pages_have_every_public_name() -> None:
             assert {name, getattr(value, "__name__", name)} & last, (package, name)
 
 
-def test_citation_and_issue_forms_are_complete() -> None:
+def test_citation_and_issue_forms_are_complete():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert {"cff-version", "message", "title", "authors"} <= set(citation)
     assert str(citation["version"]) == mbn_marl.__version__

@@ -13,7 +13,7 @@ from mbn_marl.field import FieldSampler, load_field, load_split
 GRID = {"store": "runs", "algorithms": ["ppo"], "seeds": [0], "budget": {"stepss": 1}}
 
 
-def test_every_lookup_by_name_says_what_may_be_meant() -> None:
+def test_every_lookup_by_name_says_what_may_be_meant():
     for look_up, place, meant in (
         (lambda: find_algorithm("mapo"), "mapo: ", "mappo"),
         (lambda: load_field("feild_03"), "unknown field", "field_03"),
@@ -35,14 +35,14 @@ def test_every_lookup_by_name_says_what_may_be_meant() -> None:
     assert known == "steps, evaluate_every, episodes", "only those of its level"
 
 
-def test_a_setting_may_be_named_as_an_argument_of_python() -> None:
+def test_a_setting_may_be_named_as_an_argument_of_python():
     for take in (make_config, lambda names: FieldSampler(**names), lambda names: Uniform(**names)):
         with pytest.raises(ConfigError, match="self: unknown name"):
             take({"self": 1})
 
 
 @pytest.mark.parametrize("algorithm", ["crossq", "mappo"])
-def test_known_names_can_be_set(algorithm: str) -> None:
+def test_known_names_can_be_set(algorithm):
     with pytest.raises(ConfigError) as caught:
         find_algorithm(algorithm).resolve({"gamm": 1})
     (problem,) = caught.value.problems

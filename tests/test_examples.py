@@ -20,7 +20,7 @@ ELSEWHERE = {"agilerl_ippo", "benchmarl_task", "minari_dataset", "rllib_ppo", "t
 
 @pytest.mark.all
 @pytest.mark.parametrize("name", TINY)
-def test_an_example_runs(name: str) -> None:
+def test_an_example_runs(name):
     words, printed = TINY[name]
     command = [sys.executable, FOLDER / f"{name}.py", *words.split()]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -28,5 +28,5 @@ def test_an_example_runs(name: str) -> None:
     assert re.fullmatch(printed, done.stdout.strip())
 
 
-def test_every_example_is_known() -> None:
+def test_every_example_is_known():
     assert {path.stem for path in FOLDER.glob("*.py")} == TINY.keys() | ELSEWHERE

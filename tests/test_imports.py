@@ -71,7 +71,7 @@ def named_in(module: str) -> Iterator[str]:
             yield node.value
 
 
-def test_every_module_has_a_layer_and_imports_point_to_the_left() -> None:
+def test_every_module_has_a_layer_and_imports_point_to_the_left():
     assert {package_of(module) for module in MODULES} == set(RANK)
     for module in MODULES:
         own = package_of(module)
@@ -80,13 +80,13 @@ def test_every_module_has_a_layer_and_imports_point_to_the_left() -> None:
             assert other == own or RANK[other] < RANK[own], f"{module} imports {imported}"
 
 
-def test_no_circle_within_a_package() -> None:
+def test_no_circle_within_a_package():
     plain = {name for name, path in MODULES.items() if path.name != "__init__.py"}
     graph = {module: {*imports_of(module)} & plain - {module} for module in MODULES}
     TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
-def test_a_folder_of_baselines_imports_from_those_above_it_in_the_readme() -> None:
+def test_a_folder_of_baselines_imports_from_those_above_it_in_the_readme():
     table = (ROOT / "baselines" / "README.md").read_text(encoding="utf-8")
     order = ["algorithms", "console", *re.findall(r"^\| `(\w+)/`", table, re.MULTILINE)]
     modules = [name for name in MODULES if name.startswith("baselines.")]
@@ -106,7 +106,7 @@ def loaded_by(statement: str) -> set[str]:
 
 
 @pytest.mark.slow
-def test_what_is_loaded() -> None:
+def test_what_is_loaded():
     run = "from baselines.cli import main"
     for statement, allowed in (
         ("import mbn_marl, mbn_marl.render; from baselines import load_policy", set()),

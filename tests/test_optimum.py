@@ -12,7 +12,7 @@ from mbn_marl.optimum import optimal_makespan, optimal_return
 from mbn_marl.planning import plan
 
 
-def test_environments_say_their_optimal_return() -> None:
+def test_environments_say_their_optimal_return():
     assert parallel_env("field_03").unwrapped.optimal_return == 159_490.0
     assert centralized_env("field_09").unwrapped.optimal_return == 157_510.0
     field = load_field("field_03")
@@ -24,7 +24,7 @@ def test_environments_say_their_optimal_return() -> None:
         assert optimal_return(field, make_config({"max_steps": limit})) == best
 
 
-def test_a_delay_adds_its_steps_to_the_makespan() -> None:
+def test_a_delay_adds_its_steps_to_the_makespan():
     square = [(0, 0), (90, 0), (90, 90), (0, 90)]
     field = Field(square, [(30, 30), (60, 60)], [(50, 20), (30, 70)], name="late")
     found = plan(field)
@@ -38,7 +38,7 @@ def test_a_delay_adds_its_steps_to_the_makespan() -> None:
     assert optimal_makespan(load_field("field_03"), late) is None  # two ROIs are in reach
 
 
-def test_no_optimum_is_claimed_where_a_wall_might_pay() -> None:
+def test_no_optimum_is_claimed_where_a_wall_might_pay():
     # 40 robots for 26 steps cost 10,400, more than the 10,000 of a push against the wall.
     starts = [(20.0 + 20.0 * k, 20.0) for k in range(40)]
     corners = [(0, 0), (1000, 0), (1000, 300), (0, 300)]
@@ -47,7 +47,7 @@ def test_no_optimum_is_claimed_where_a_wall_might_pay() -> None:
         assert optimal_return(field) == claimed
 
 
-def test_infos_report_the_gap_at_the_end() -> None:
+def test_infos_report_the_gap_at_the_end():
     found = plan("field_03")
     env = parallel_env("field_03")
     env.reset(seed=0)

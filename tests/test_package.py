@@ -1,7 +1,6 @@
 """The wheel, and the package's public names, loaded on first use."""
 
 import zipfile
-from pathlib import Path
 
 import pytest
 
@@ -23,7 +22,7 @@ def test_public_names():
 
 
 @pytest.mark.slow
-def test_the_wheel_has_three_packages_and_their_data(tmp_path: Path) -> None:
+def test_the_wheel_has_three_packages_and_their_data(tmp_path):
     with zipfile.ZipFile(build_wheel(tmp_path)) as wheel:
         names = wheel.namelist()
     top = {name.split("/")[0] for name in names}

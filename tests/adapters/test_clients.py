@@ -22,14 +22,14 @@ from mbn_marl.render.viewer import RENDER_SIZE
 ID = "mbn/field_03-v0"
 
 
-def test_torchrl_makes_a_registered_environment_and_repeats_actions() -> None:
+def test_torchrl_makes_a_registered_environment_and_repeats_actions():
     env = GymEnv(ID, frame_skip=3)
     rollout = env.rollout(2)
     assert rollout["observation"].shape == (2, 13)
     assert env.unwrapped.engine.metrics()["steps"][0] == 6
 
 
-def test_specs_have_the_time_limit_by_either_name() -> None:
+def test_specs_have_the_time_limit_by_either_name():
     assert gymnasium.make(ID).spec.max_episode_steps == 1000
     assert gymnasium.make(gymnasium.make(ID, max_steps=20).spec).spec.max_episode_steps == 20
     assert TimeAwareObservation(gymnasium.make(ID)).observation_space.shape == (14,)
@@ -46,7 +46,7 @@ def test_specs_have_the_time_limit_by_either_name() -> None:
 
 
 @pytest.mark.parametrize("kind", [CentralizedVecEnv, SharedPolicyVecEnv])
-def test_stable_baselines_films_one_world(kind, tmp_path, monkeypatch) -> None:
+def test_stable_baselines_films_one_world(kind, tmp_path, monkeypatch):
     # MoviePy, which writes the file, wants another Pillow than the suite's.
     monkeypatch.setitem(sys.modules, "moviepy", ModuleType("moviepy"))
     worlds = kind("field_03", 4, seed=1, render_mode="rgb_array", random_starts=True)
@@ -62,7 +62,7 @@ def test_stable_baselines_films_one_world(kind, tmp_path, monkeypatch) -> None:
     env.recorded_frames.clear()
 
 
-def test_without_a_registry_of_pettingzoo_gymnasiums_is_filled(monkeypatch) -> None:
+def test_without_a_registry_of_pettingzoo_gymnasiums_is_filled(monkeypatch):
     monkeypatch.delattr(pettingzoo, "register")
     monkeypatch.setattr(gymnasium.envs.registration, "registry", registry := {})
     registration.register_environments()

@@ -21,7 +21,7 @@ OF_ID = {name: value for name, value in STORM.items() if name not in CONDITIONS[
 pytestmark = pytest.mark.slow
 
 
-def test_the_checkers_of_all_libraries_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_checkers_of_all_libraries_pass(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Gymnasium's advice on raw units
@@ -31,7 +31,7 @@ def test_the_checkers_of_all_libraries_pass(monkeypatch: pytest.MonkeyPatch) -> 
     check_env_specs(NavigationEnv("field_03", 4, **STORM))
 
 
-def test_infos_tell_what_was_drawn() -> None:
+def test_infos_tell_what_was_drawn():
     how: dict[str, Any] = STORM | {"max_steps": 6}
     engine = BatchEngine("field_03", 4, seed=6, **how)
     engine.reset()

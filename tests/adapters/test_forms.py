@@ -188,7 +188,7 @@ def failures_of(n: int) -> st.SearchStrategy[Failures]:
 
 
 @pytest.mark.parametrize("name", [*GATE, pytest.param(LAST, marks=pytest.mark.all)])
-def test_all_forms_agree_with_the_oracle(name: str) -> None:
+def test_all_forms_agree_with_the_oracle(name):
     seen: Counter[str] = Counter()
     dtype, teams, choices = COMPILED[name]
     disturbed, own = choices[0].keys() >= DRAWN.keys(), "knowledge" in choices[0]
@@ -274,7 +274,7 @@ def follow(
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 @pytest.mark.parametrize("reward", ["released", "formal"])
-def test_ties_fall_as_in_the_oracle(reward: str, dtype: str) -> None:
+def test_ties_fall_as_in_the_oracle(reward, dtype):
     for case, (shape, script) in TIES.items():
         steps = follow({"rois": [(60.0, 25.0)], **shape}, script, dtype, reward=reward)
         assert min(step.margin for step in steps) == 0.0, case
@@ -288,7 +288,7 @@ def test_ties_fall_as_in_the_oracle(reward: str, dtype: str) -> None:
 
 
 @pytest.mark.parametrize("observation", ["relative", "lidar_local"])
-def test_fields_of_one_batch_are_each_the_field_alone(observation: str) -> None:
+def test_fields_of_one_batch_are_each_the_field_alone(observation):
     rng = np.random.default_rng(5)
     fields = [
         random_field(rng, corners=corners, with_hole=hole, n_rois=n_rois, n_starts=3)

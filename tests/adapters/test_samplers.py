@@ -1,7 +1,5 @@
 """Every form takes a sampler of fields, and a field for one episode."""
 
-from typing import Any
-
 import gymnasium
 import numpy as np
 import pytest
@@ -20,7 +18,7 @@ pytestmark = pytest.mark.slow
 SAMPLER = FieldSampler(("convex", "farm"), robots=(1, 3), rois=(2, 5), size=(110, 200), seed=4)
 
 
-def test_pettingzoo_has_the_agents_of_each_episode() -> None:
+def test_pettingzoo_has_the_agents_of_each_episode():
     env = parallel_env(SAMPLER, max_steps=4)
     assert env.possible_agents == ["robot_0", "robot_1", "robot_2"]
     teams = []
@@ -38,7 +36,7 @@ def test_pettingzoo_has_the_agents_of_each_episode() -> None:
     assert set(teams) == {1, 2, 3}
 
 
-def test_the_checkers_pass() -> None:
+def test_the_checkers_pass():
     parallel_api_test(parallel_env(SAMPLER, max_steps=9), num_cycles=60)
     api_test(raw_env(SAMPLER, max_steps=9), num_cycles=60)
     check_env(centralized_env(SAMPLER, max_steps=9), skip_render_check=True)
@@ -47,7 +45,7 @@ def test_the_checkers_pass() -> None:
     check_env_specs(NavigationEnv(SAMPLER, 6, max_steps=3), check_dtype=True)
 
 
-def test_torchrl_masks_absent_robots() -> None:
+def test_torchrl_masks_absent_robots():
     env = NavigationEnv(SAMPLER, 7, max_steps=3)
     rollout = env.rollout(10, break_when_any_done=False)
     mask = rollout["robots", "mask"]
@@ -61,7 +59,7 @@ def test_torchrl_masks_absent_robots() -> None:
     torch.testing.assert_close(shares, rollout["next", "team_reward"].squeeze(-1))
 
 
-def test_sb3_says_which_rows_are_there() -> None:
+def test_sb3_says_which_rows_are_there():
     shared, central = (
         make(SAMPLER, 6, max_steps=3) for make in (SharedPolicyVecEnv, CentralizedVecEnv)
     )
@@ -79,7 +77,7 @@ def test_sb3_says_which_rows_are_there() -> None:
 
 
 @pytest.mark.parametrize("make", [parallel_env, centralized_env])
-def test_a_reset_takes_a_field_for_one_episode(make: Any) -> None:
+def test_a_reset_takes_a_field_for_one_episode(make):
     other, own = load_field("field_05"), load_field("field_03")
     starts = np.add(other.starts[::-1], 0.5)
     for env, given, options, later in (
@@ -105,7 +103,7 @@ def test_a_reset_takes_a_field_for_one_episode(make: Any) -> None:
         make(SAMPLER).reset(options={"starts": np.zeros((3, 2))})
 
 
-def test_the_gap_is_that_of_the_field_of_the_episode() -> None:
+def test_the_gap_is_that_of_the_field_of_the_episode():
     env, gaps = parallel_env("field_03"), []
     given = {"starts": load_field("field_03").starts + 0.5}  # of which no optimum is proved
     for options in ({}, {"field": "field_05"}, given, {}):
@@ -117,7 +115,7 @@ def test_the_gap_is_that_of_the_field_of_the_episode() -> None:
     assert gaps[0] == gaps[3] != gaps[1] and np.isnan(gaps[2])
 
 
-def test_a_recorder_keeps_the_field_and_the_team_of_each_episode() -> None:
+def test_a_recorder_keeps_the_field_and_the_team_of_each_episode():
     env = parallel_env(SAMPLER, max_steps=6, mass=(1.0, 1.5, 2.0))
     with EpisodeRecorder(env) as recorder:
         for episode in range(5):

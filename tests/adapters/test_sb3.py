@@ -41,7 +41,7 @@ def observed(env: NavigationVecEnv, engine: BatchEngine, observations: np.ndarra
 
 
 @BOTH
-def test_spaces(kind: type[NavigationVecEnv]) -> None:
+def test_spaces(kind):
     env = kind("field_03", WORLDS)
     central = kind is CentralizedVecEnv
     assert env.num_envs == (WORLDS if central else WORLDS * ROBOTS)
@@ -58,7 +58,7 @@ def test_spaces(kind: type[NavigationVecEnv]) -> None:
 
 
 @BOTH
-def test_steps_are_the_engines(kind: type[NavigationVecEnv]) -> None:
+def test_steps_are_the_engines(kind):
     env = kind("field_03", WORLDS, seed=5, **LIVELY)
     engine = BatchEngine("field_03", WORLDS, seed=5, autoreset="disabled", **LIVELY)
     np.testing.assert_array_equal(env.reset(), observed(env, engine, engine.reset()))
@@ -101,7 +101,7 @@ def check_final_infos(env: Any, infos: Any, dones: np.ndarray, metrics: Any) -> 
 
 
 @BOTH
-def test_all_that_is_returned_is_the_callers(kind: type[NavigationVecEnv]) -> None:
+def test_all_that_is_returned_is_the_callers(kind):
     env, spoiled = (kind("field_03", WORLDS, **LIVELY) for _ in range(2))
     kept = [(env.reset(), spoiled.reset())]
     for actions in forces(env):
@@ -122,7 +122,7 @@ def test_all_that_is_returned_is_the_callers(kind: type[NavigationVecEnv]) -> No
 
 
 @BOTH
-def test_seed_takes_effect_at_the_next_reset(kind: type[NavigationVecEnv]) -> None:
+def test_seed_takes_effect_at_the_next_reset(kind):
     env = kind("field_03", WORLDS, seed=1, random_starts=True)
     expected = kind("field_03", WORLDS, seed=9, random_starts=True)
     first, (second, third) = env.reset(), (expected.reset(), expected.reset())
@@ -133,7 +133,7 @@ def test_seed_takes_effect_at_the_next_reset(kind: type[NavigationVecEnv]) -> No
 
 
 @BOTH
-def test_bad_calls_are_refused_before_anything_moves(kind: type[NavigationVecEnv]) -> None:
+def test_bad_calls_are_refused_before_anything_moves(kind):
     env = kind("field_03", WORLDS)
     good = forces(env, 1)[0]
     with pytest.raises(StepError):
@@ -146,8 +146,8 @@ def test_bad_calls_are_refused_before_anything_moves(kind: type[NavigationVecEnv
         (env.step_wait, StepError, "step_wait: "),
         (lambda: env.step(np.zeros(2)), ActionError, "actions: "),
         (lambda: env.step(bad), ActionError, r"world 4.*robot_2"),
-        (lambda: env.step([[1.0], [1.0, 0.0]]), ActionError, "actions: "),  # type: ignore[arg-type, list-item]
-        (lambda: kind("field_03", 4, autoreset=True), ConfigError, "autoreset: "),  # type: ignore[call-arg]
+        (lambda: env.step([[1.0], [1.0, 0.0]]), ActionError, "actions: "),
+        (lambda: kind("field_03", 4, autoreset=True), ConfigError, "autoreset: "),
         (lambda: kind("field_03", 4, render_mode="human"), ConfigError, "render_mode: "),
         (lambda: env.set_attr("label", "other", indices=[0]), MbnError, "label"),
     ):
@@ -159,11 +159,11 @@ def test_bad_calls_are_refused_before_anything_moves(kind: type[NavigationVecEnv
         env.reset()
     env.set_options()
     env.reset()
-    env.step(torch.from_numpy(good).requires_grad_())  # type: ignore[arg-type]
+    env.step(torch.from_numpy(good).requires_grad_())
 
 
 @BOTH
-def test_attributes_and_methods(kind: type[NavigationVecEnv]) -> None:
+def test_attributes_and_methods(kind):
     env = kind("field_03", WORLDS)
     env.reset()
     assert env.render_mode is None
@@ -181,7 +181,7 @@ def test_attributes_and_methods(kind: type[NavigationVecEnv]) -> None:
 
 
 @BOTH
-def test_evaluation_reports_true_returns_under_scaling(kind: type[NavigationVecEnv]) -> None:
+def test_evaluation_reports_true_returns_under_scaling(kind):
     env = kind("field_03", WORLDS, max_steps=7, roi_radius=0.0)
     actions = np.zeros((env.num_envs, *env.action_space.shape), np.float32)
     still: Any = SimpleNamespace(predict=lambda *_, **__: (actions, None))
@@ -196,7 +196,7 @@ def test_evaluation_reports_true_returns_under_scaling(kind: type[NavigationVecE
 
 
 @pytest.mark.slow
-def test_an_off_policy_algorithm_takes_the_joint_action() -> None:
+def test_an_off_policy_algorithm_takes_the_joint_action():
     env = CentralizedVecEnv("field_03", 2, max_steps=10)
     model = TQC("MlpPolicy", env, learning_starts=8, batch_size=8, seed=0, device="cpu")
     model.learn(24)
@@ -207,7 +207,7 @@ def test_an_off_policy_algorithm_takes_the_joint_action() -> None:
     assert buffer.timeouts[9].all() and buffer.dones[9].all() and buffer.dones.sum() == 2
 
 
-def test_a_central_learner_can_see_what_all_robots_see() -> None:
+def test_a_central_learner_can_see_what_all_robots_see():
     settings: dict[str, Any] = {"observation": "local", "seed": 5, **LIVELY}
     joint = CentralizedVecEnv("field_03", WORLDS, joint_observation=True, **settings)
     robots = SharedPolicyVecEnv("field_03", WORLDS, **settings)

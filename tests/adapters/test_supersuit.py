@@ -21,7 +21,7 @@ def make_env(seed: int | None = None, **settings: object) -> VecEnv:
     )
 
 
-def test_rows_are_the_robots_of_each_world() -> None:
+def test_rows_are_the_robots_of_each_world():
     env, world = make_env(), parallel_env("field_03", max_steps=LIMIT)
     observations, _ = world.reset()
     rows = env.reset()
@@ -34,7 +34,7 @@ def test_rows_are_the_robots_of_each_world() -> None:
         assert not dones.any()
 
 
-def test_its_limits() -> None:
+def test_its_limits():
     """Of each limit that docs/supersuit.md tells: if one is lifted, change the page."""
     env = make_env(random_starts=True, seed=0)
     for call in (lambda: env.seed(0), lambda: PPO("MlpPolicy", env, seed=0)):

@@ -37,7 +37,7 @@ def play(env: EnvBase, steps: int = STEPS) -> TensorDictBase:
     return env.rollout(steps, push(), break_when_any_done=False)
 
 
-def test_entries_are_those_of_the_table() -> None:
+def test_entries_are_those_of_the_table():
     env = NavigationEnv("field_03", WORLDS)
     assert (env.action_key, env.reward_key) == ((GROUP, "action"), (GROUP, "reward"))
     assert env.group_map == {GROUP: ["robot_0", "robot_1", "robot_2"]}
@@ -52,7 +52,7 @@ def test_entries_are_those_of_the_table() -> None:
     assert shapes == world | following | robots
 
 
-def test_specs() -> None:
+def test_specs():
     for settings in (
         {"max_steps": 2},
         {"observation": "state", "reward_sharing": "team"},
@@ -64,7 +64,7 @@ def test_specs() -> None:
 
 
 @pytest.mark.parametrize(("transformed", "dtype"), [(False, "float32"), (True, "float64")])
-def test_rollout_is_the_engine_step_by_step(transformed: bool, dtype: str) -> None:
+def test_rollout_is_the_engine_step_by_step(transformed, dtype):
     settings = LIVELY | {"dtype": dtype}
     env = NavigationEnv("field_03", WORLDS, seed=5, **settings)
     data = play(TransformedEnv(env, StepCounter()) if transformed else env)
@@ -95,7 +95,7 @@ def test_rollout_is_the_engine_step_by_step(transformed: bool, dtype: str) -> No
 
 
 @pytest.mark.parametrize("more", [{}, STORM], ids=["calm", "storm"])
-def test_own_maybe_reset_equals_torchrls(more: dict[str, Any]) -> None:
+def test_own_maybe_reset_equals_torchrls(more):
     settings = more | {"field": "field_03", "num_worlds": WORLDS, "seed": 1} | LIVELY
     own = NavigationEnv(**settings)
     plain = TransformedEnv(NavigationEnv(**settings))
@@ -104,7 +104,7 @@ def test_own_maybe_reset_equals_torchrls(more: dict[str, Any]) -> None:
     assert_close(play(own), expected, rtol=0.0, atol=0.0)
 
 
-def test_seed_is_used_once() -> None:
+def test_seed_is_used_once():
     env = NavigationEnv("field_03", WORLDS, seed=3, **LIVELY)
     env.reset()
     expected = env.reset()["state"]
@@ -112,7 +112,7 @@ def test_seed_is_used_once() -> None:
     assert (env.reset()["state"] != expected).any() and (env.reset()["state"] == expected).all()
 
 
-def test_ended_worlds_wait_for_the_others() -> None:
+def test_ended_worlds_wait_for_the_others():
     env = NavigationEnv("field_03", WORLDS, seed=2, **LIVELY)
     data = env.rollout(100, push(), break_when_any_done=False, break_when_all_done=True)
     lengths = data["next", "metrics", "steps"][:, -1, 0]
@@ -125,7 +125,7 @@ def test_ended_worlds_wait_for_the_others() -> None:
         assert end["metrics", "episode_return"] == through_end["metrics", "episode_return"]
 
 
-def test_bad_steps_are_refused_before_anything_moves() -> None:
+def test_bad_steps_are_refused_before_anything_moves():
     env = NavigationEnv("field_03", 2, max_steps=1)
     data = env.rand_action(env.reset())
     before = env.engine.state()
@@ -140,7 +140,7 @@ def test_bad_steps_are_refused_before_anything_moves() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using")
-def test_torchrls_wrapper_of_the_parallel_form_keeps_both_ends_apart() -> None:
+def test_torchrls_wrapper_of_the_parallel_form_keeps_both_ends_apart():
     world = parallel_env("field_03", **LIVELY)
     env = PettingZooWrapper(world, group_map={GROUP: world.possible_agents}, return_state=True)
     data = play(env, 300)["next"]
@@ -150,7 +150,7 @@ def test_torchrls_wrapper_of_the_parallel_form_keeps_both_ends_apart() -> None:
     assert data["state"].shape == (300, 13)
 
 
-def test_only_a_full_reset_uses_a_seed_or_a_saved_state() -> None:
+def test_only_a_full_reset_uses_a_seed_or_a_saved_state():
     env = NavigationEnv("field_03", 2, **LIVELY)
     first = env.reset()
     saved = env.save_state()
@@ -166,7 +166,7 @@ def test_only_a_full_reset_uses_a_seed_or_a_saved_state() -> None:
     assert env.engine.seed == 5
 
 
-def test_a_saved_world_that_had_ended_begins_again() -> None:
+def test_a_saved_world_that_had_ended_begins_again():
     env = NavigationEnv("field_03", 2, max_steps=3)
     data = env.reset()
     for _ in range(3):
@@ -177,16 +177,16 @@ def test_a_saved_world_that_had_ended_begins_again() -> None:
 
 
 @pytest.mark.all
-def test_torch_compile_leaves_steps_alone() -> None:
+def test_torch_compile_leaves_steps_alone():
     env = NavigationEnv("field_03", 2)
     step: Any = torch.compile(env.step)
     assert step(env.rand_action(env.reset()))["next", "robots", "reward"].shape == (2, 3, 1)
 
 
-def test_sizes_and_metrics_are_checked_at_once() -> None:
+def test_sizes_and_metrics_are_checked_at_once():
     assert NavigationEnv("field_03", np.int64(2)).batch_size == (2,)
     with pytest.raises(ConfigError) as caught:
-        NavigationEnv("field_03", 2.5, metrics=["success", "success"])  # type: ignore[arg-type]
+        NavigationEnv("field_03", 2.5, metrics=["success", "success"])
     assert [one.partition(":")[0] for one in caught.value.problems] == ["metrics", "num_worlds"]
     metrics: Any
     for metrics in (None, [1, "success"], [["success"]]):

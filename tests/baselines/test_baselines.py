@@ -1,7 +1,5 @@
 """Statistics, storage, hyperparameters, networks and evaluation, against numbers worked by hand."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
@@ -44,7 +42,7 @@ class ConstantPolicy(Policy):
         return np.broadcast_to(self._action, (len(seen), (seen.shape[1] - 1) // 4, 2))
 
 
-def test_mean_intervals_by_hand() -> None:
+def test_mean_intervals_by_hand():
     assert statistics.mean_interval([5.0]) == statistics.Interval(5.0, None, None)
     assert statistics.mean_interval([2.0, 2.0, 2.0]) == statistics.Interval(2.0, 2.0, 2.0)
     # A resample of (0, 10) has mean 0, 5 or 10 with probability 1/4, 1/2, 1/4: the 2.5 % and the
@@ -54,14 +52,14 @@ def test_mean_intervals_by_hand() -> None:
         statistics.mean_interval([])
 
 
-def test_every_algorithm_has_hyperparameters_and_refuses_unknown_ones() -> None:
+def test_every_algorithm_has_hyperparameters_and_refuses_unknown_ones():
     for algorithm in ALGORITHMS.values():
         assert algorithm.resolve({}).reward_scale > 0
         with pytest.raises(ConfigError, match="momentum: "):
             algorithm.resolve({"momentum": 0.9})
 
 
-def test_centralized_model_arguments_are_those_of_the_library() -> None:
+def test_centralized_model_arguments_are_those_of_the_library():
     schedule = {"model": {"gamma": 0.5, "learning_rate": {"from": 3.0, "to": 1.0}}}
     changed = centralized_config.load("ppo", "N", schedule)
     assert changed.model == {
@@ -75,7 +73,7 @@ def test_centralized_model_arguments_are_those_of_the_library() -> None:
         centralized_config.load("ppo", "N", {"model": {"tau": 0.1}})
 
 
-def test_evaluation_reports_true_returns() -> None:
+def test_evaluation_reports_true_returns():
     # Full thrust to the right: v = 0.5, 1.0, ..., so x = 100, 100.5, 101.5, 103, ...; after step t
     # robot 0 has moved t (t + 1) / 4 and robot 1 as much. ROI 0 is in reach (20 units) at t = 9.
     field = Field(vertices=SQUARE.vertices, rois=[(130, 100)], starts=SQUARE.starts)
@@ -102,13 +100,11 @@ def test_evaluation_reports_true_returns() -> None:
         (make_classical("greedy", SQUARE, {}), {}, False, True),
     ],
 )
-def test_one_episode_is_enough_if_nothing_is_drawn(
-    policy: Policy, settings: dict[str, Any], deterministic: bool, one: bool
-) -> None:
+def test_one_episode_is_enough_if_nothing_is_drawn(policy, settings, deterministic, one):
     assert is_one_episode(policy, settings, deterministic=deterministic) is one
 
 
-def test_evaluations_are_reproducible_and_leave_torch_alone() -> None:
+def test_evaluations_are_reproducible_and_leave_torch_alone():
     torch.manual_seed(5)
     expected = torch.rand(3)
     torch.manual_seed(5)
@@ -122,7 +118,7 @@ def test_evaluations_are_reproducible_and_leave_torch_alone() -> None:
     assert torch.equal(torch.rand(3), expected)
 
 
-def test_normalisation_begins_with_the_first_update_and_is_by_network() -> None:
+def test_normalisation_begins_with_the_first_update_and_is_by_network():
     norm = Normalize(TeamShape(2, 1, (8,), "full"))
     assert norm.normalize(torch.tensor([3.0, 5.0])).tolist() == [3.0, 5.0]
     norm.statistics.update(torch.tensor([[[0.0, 1.0]], [[2.0, 5.0]]]))  # means 1, 3; variances 1, 4
@@ -144,7 +140,7 @@ def _seen_by(network: GaussianPolicy | ValueNetwork, key: object) -> list[bool]:
     return changed
 
 
-def test_only_central_critics_and_actors_see_the_other_robots() -> None:
+def test_only_central_critics_and_actors_see_the_other_robots():
     torch.manual_seed(0)
     alone, together = [False, False, True], [True] * 3
     sharing: Sharing
@@ -160,7 +156,7 @@ def test_only_central_critics_and_actors_see_the_other_robots() -> None:
 
 
 @pytest.mark.parametrize(("kind", "shape"), [(TeamNormal, (7, 3)), (JointNormal, (7, 1))])
-def test_distributions_are_those_of_torch(kind: type[TeamNormal], shape: tuple[int, int]) -> None:
+def test_distributions_are_those_of_torch(kind, shape):
     torch.manual_seed(0)
     loc, value = torch.randn(2, 7, 3, 2)
     scale = torch.tensor([[0.5, 1.0], [2.0, 0.1], [1.0, 3.0]]).expand(7, 3, 2)

@@ -2,7 +2,6 @@
 
 import json
 import math
-from pathlib import Path
 
 import pytest
 
@@ -22,7 +21,7 @@ def findings() -> Findings:
         return Speed().measure()
 
 
-def test_cases_take_turns_and_seconds_are_per_unit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cases_take_turns_and_seconds_are_per_unit(monkeypatch):
     clock, turns = {"now": 0.0}, []
     monkeypatch.setattr(speed, "thread_time", lambda: clock["now"])
     monkeypatch.setattr(speed, "perf_counter", lambda: 3.0 * clock["now"])
@@ -42,7 +41,7 @@ def test_cases_take_turns_and_seconds_are_per_unit(monkeypatch: pytest.MonkeyPat
     assert clock["now"] == 2 * 0.5 * (1 + 1 + 2 + 3 * 8)  # warm-up, calibration, turns of 4 s
 
 
-def test_target_is_met() -> None:
+def test_target_is_met():
     for value, target, at_least, met in (
         (2.0, 2.0, True, True),
         (1.9, 2.0, True, False),
@@ -56,12 +55,7 @@ def test_target_is_met() -> None:
     assert never.words() == ("a", "never", "<= 2", "missed", "") and not never.to_json()["value"]
 
 
-def test_folder_with_every_row_is_written_once(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    findings: Findings,
-) -> None:
+def test_folder_with_every_row_is_written_once(tmp_path, monkeypatch, capsys, findings):
     rows = findings.values["rows"]
     assert len({row["name"] for row in rows}) == len(rows) == 10
     for row in rows:
@@ -78,9 +72,7 @@ def test_folder_with_every_row_is_written_once(
     assert "--force" in capsys.readouterr().err
 
 
-def test_subjects(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_subjects(tmp_path, capsys, monkeypatch):
     assert main([]) == 0
     listed = capsys.readouterr().out
     assert all(f"  {subject} " in listed for subject in SUBJECTS)

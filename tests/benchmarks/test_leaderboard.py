@@ -22,13 +22,13 @@ Results = dict[str, dict[str, Any]]
 
 
 @pytest.mark.all
-def test_the_committed_page_is_that_of_the_committed_results() -> None:
+def test_the_committed_page_is_that_of_the_committed_results():
     page = ROOT / "docs" / "results" / "leaderboard.md"
     assert page.read_text(encoding="utf-8") == leaderboard(page.with_suffix(""))
 
 
 @pytest.mark.all
-def test_the_committed_searches_are_of_the_fields_of_today() -> None:
+def test_the_committed_searches_are_of_the_fields_of_today():
     frozen = load_tiers(SPLIT, [splits.SEARCH])
     paths = [*(ROOT / "docs" / "results" / "search").glob("*.json")]
     assert paths
@@ -69,7 +69,7 @@ def rows_of(text: str) -> dict[tuple[str, str], tuple[str, ...]]:
     return {(name, way): tuple(cells) for name, way, _, *cells in lines[2:]}
 
 
-def test_a_table_for_each_tier_with_the_best_first(results: Results, tmp_path: Path) -> None:
+def test_a_table_for_each_tier_with_the_best_first(results, tmp_path):
     write(results, tmp_path / "board")
     assert main(["leaderboard", "--folder", str(tmp_path / "board")]) == 0
     page = (tmp_path / "board.md").read_text()
@@ -85,9 +85,7 @@ def test_a_table_for_each_tier_with_the_best_first(results: Results, tmp_path: P
     assert f"- {name}: `mbn benchmark random`" in parts["Commands"]
 
 
-def test_results_of_other_splits_are_refused(
-    results: Results, frozen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_results_of_other_splits_are_refused(results, frozen, tmp_path, monkeypatch):
     now = tmp_path / "now"
     shutil.copytree(frozen, now)
     write_split(now, "1-convex", 1, lambda k, field: (11, 12))
@@ -99,7 +97,7 @@ def test_results_of_other_splits_are_refused(
         leaderboard(tmp_path / "board")
 
 
-def test_every_damage_of_results_is_listed(results: Results, tmp_path: Path) -> None:
+def test_every_damage_of_results_is_listed(results, tmp_path):
     names = ("bare", "both", "nameless", "old", "part")
     changed = {name: copy.deepcopy(results["greedy"]) for name in names}
     del changed["bare"]["tiers"]["2-sizes"]["instances"][0]["mean"]

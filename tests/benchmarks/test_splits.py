@@ -28,9 +28,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "test-1-convex.json"
 
 
-def test_instances_are_proved_and_an_interrupted_run_goes_on(
-    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_instances_are_proved_and_an_interrupted_run_goes_on(made, tmp_path, monkeypatch):
     record = read_json(made)
     sampler = FieldSampler(("convex",), seed=3_000_000)
     for number, one in enumerate(record["instances"]):
@@ -57,9 +55,7 @@ def test_instances_are_proved_and_an_interrupted_run_goes_on(
         assert one == {**other, "seconds": one["seconds"]}
 
 
-def test_rejected_candidates_are_counted_with_the_reason(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rejected_candidates_are_counted_with_the_reason(tmp_path, monkeypatch):
     fields = [FieldSampler(seed=3_000_000).field(number) for number in (0, 0, 1, 2, 3)]
     monkeypatch.setattr(FieldSampler, "field", lambda self, world: fields[world])
 
@@ -79,9 +75,7 @@ def test_rejected_candidates_are_counted_with_the_reason(
     assert record["candidates"] == 5
 
 
-def test_passages_are_of_robots_that_wait(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_passages_are_of_robots_that_wait(tmp_path, monkeypatch, capsys):
     steps = iter([11, 12, 15])
 
     def waiting(field: Field, **how: Any) -> SimpleNamespace:
@@ -98,9 +92,7 @@ def test_passages_are_of_robots_that_wait(
     assert "nan" not in capsys.readouterr().out
 
 
-def test_verifying_finds_what_was_changed(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_verifying_finds_what_was_changed(made, tmp_path, capsys):
     check = dataclasses.replace(CONVEX, out=tmp_path, verify=True)
     record, plans = read_json(made), read_arrays(made.with_suffix(".npz"))
     path = tmp_path / made.name
@@ -124,7 +116,7 @@ def test_verifying_finds_what_was_changed(
         dataclasses.replace(check, verify=False).run("command")
 
 
-def test_weather_is_made_of_the_first_three_tiers(made: Path, tmp_path: Path) -> None:
+def test_weather_is_made_of_the_first_three_tiers(made, tmp_path):
     record, names = read_json(made), [*TIERS][:3]
     for tier in names[:2]:
         write_json(tmp_path / f"test-{tier}.json", {**record, "tier": tier})
@@ -140,6 +132,6 @@ def test_weather_is_made_of_the_first_three_tiers(made: Path, tmp_path: Path) ->
     )
 
 
-def test_wrong_options_are_listed() -> None:
+def test_wrong_options_are_listed():
     with pytest.raises(ConfigError, match=r"tier: (.|\n)*count: (.|\n)*seconds: "):
         Splits(tier=("1-convx",), count=0, seconds=0.0).run("command")

@@ -44,7 +44,7 @@ def heights(line: Line2D) -> dict[int, float]:
     return {at: y for at, y in enumerate(np.asarray(line.get_ydata(), float)) if not np.isnan(y)}
 
 
-def test_figure_has_a_dot_a_run_and_counts_failures(results: Path) -> None:
+def test_figure_has_a_dot_a_run_and_counts_failures(results):
     assert main(["strip", "--folder", str(results)]) == 0
     shown = pandas.read_csv(results / "strip.csv")
     assert [*dict.fromkeys(shown.label)] == [*COLUMNS] and len(shown) == len(COLUMNS) + 2
@@ -59,7 +59,7 @@ def test_figure_has_a_dot_a_run_and_counts_failures(results: Path) -> None:
     assert axes.collections[0].get_segments()[0][0][1] == pytest.approx(1.3), "the median of three"
 
 
-def test_table_is_written_below_its_mark_once(results: Path) -> None:
+def test_table_is_written_below_its_mark_once(results):
     page = results / "forms.md"
     page.write_text("a\n\n<!-- table: forms -->\n\nb\n\n<!-- table: later -->\n\nc\n")
     for _ in range(2):
@@ -71,9 +71,7 @@ def test_table_is_written_below_its_mark_once(results: Path) -> None:
         assert text.endswith("\n\nb\n\n<!-- table: later -->\n\nc\n")
 
 
-def test_passages_are_compared_with_bound_and_best_plan(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_passages_are_compared_with_bound_and_best_plan(tmp_path, monkeypatch):
     fields = [Field(SQUARE, [(150, 150)], [(150, 150)], name=name) for name in "ab"]
     known = [Instance(field, makespan_lower_bound=10, best_known=15) for field in fields]
     monkeypatch.setattr(tables, "load_split", lambda *of: known)
@@ -88,7 +86,7 @@ def test_passages_are_compared_with_bound_and_best_plan(
     assert line == ("slow", "own", "50%", "3.00", "2.00")
 
 
-def test_where_no_bound_is_known_makespans_are_shown(tmp_path: Path) -> None:
+def test_where_no_bound_is_known_makespans_are_shown(tmp_path):
     heading = HEADING.replace("deterministic_gap", "deterministic_makespan,deterministic_gap")
     (tmp_path / "runs.csv").write_text(f"{heading}fast,a,0,True,20,,\nfast,a,1,True,40,0.5,0.7\n")
     (tmp_path / "classical.csv").write_text(f"{heading}slow,a,,False,,,\n")
@@ -101,7 +99,7 @@ def test_where_no_bound_is_known_makespans_are_shown(tmp_path: Path) -> None:
     assert crosses.get_marker() == "x" and "steps" in axes.get_ylabel()
 
 
-def test_policies_are_compared_by_radius(tmp_path: Path) -> None:
+def test_policies_are_compared_by_radius(tmp_path):
     measured = "script,own,a,0,1.0\nscript,own,a,inf,0.0\nscript,own,b,0,\n"
     (tmp_path / "radii.csv").write_text(SEARCH_HEADING + measured)
     rows = [
@@ -140,6 +138,6 @@ def test_policies_are_compared_by_radius(tmp_path: Path) -> None:
     assert [*axes.lines[2].get_ydata()] == [2.5, 2.5], "one line for all radii"
 
 
-def test_tables_of_the_pages_are_of_their_data() -> None:
+def test_tables_of_the_pages_are_of_their_data():
     for page in (ROOT / "docs" / "results").glob("*.md"):
         assert fill(page) == page.read_text(encoding="utf-8"), page

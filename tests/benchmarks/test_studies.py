@@ -1,7 +1,5 @@
 """The studies of learning."""
 
-from pathlib import Path
-
 import pytest
 
 from baselines.training.train import prepare, resolve
@@ -15,7 +13,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_studies_can_be_trained_and_their_variants_differ(name: str) -> None:
+def test_studies_can_be_trained_and_their_variants_differ(name):
     config = Study(study=name).config()
     # No seed or field that was looked at while tuning, but for the tuning.
     assert min(config.seeds) >= 220 or name in ("trials", "validation")
@@ -28,7 +26,7 @@ def test_studies_can_be_trained_and_their_variants_differ(name: str) -> None:
         Study(study="form").config()
 
 
-def test_a_study_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_study_runs(tmp_path, monkeypatch):
     monkeypatch.setattr(learning, "labelled", lambda blocks, place: CONFIG.variants)
     monkeypatch.setattr("baselines.compare.report.write_episode", lambda *drawn: None)
     out = tmp_path / "bench"

@@ -35,7 +35,7 @@ ARCHITECTURE = 8, 0  # the A100's; no GPU is needed to compile for it
 @pytest.mark.parametrize(
     "part", ["features", "random_fields", "not features and not random_fields"]
 )
-def test_in_the_simulator(part: str) -> None:
+def test_in_the_simulator(part):
     """Run a part of ``simulated_cuda.py``: the simulator is chosen when numba is imported."""
     tests = ["tests/support/simulated_cuda.py", "-k", part]
     run = subprocess.run(
@@ -49,14 +49,14 @@ def test_in_the_simulator(part: str) -> None:
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_cuda_that_is_missing_is_one_error() -> None:
+def test_cuda_that_is_missing_is_one_error():
     with pytest.raises(ConfigError) as caught:
         BatchEngine("field_01", 2, device="cuda")
     (problem,) = caught.value.problems
     assert problem.startswith("device: ")
 
 
-def test_no_kernel_is_optimised_at_link_time() -> None:
+def test_no_kernel_is_optimised_at_link_time():
     from mbn_marl.engine import cuda_kernels
 
     # It would round the sum of a product once, which the machine code of the test below never has.
@@ -123,9 +123,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     ids=str,
 )
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_kernels_become_machine_code(
-    dtype: str, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_kernels_become_machine_code(dtype, settings, monkeypatch, tmp_path):
     if importlib.util.find_spec("numba_cuda") is None or (assembler := ptxas()) is None:
         pytest.skip("numba-cuda or ptxas is not installed; `make cuda` installs both")
     from numba.cuda import dispatcher
@@ -156,7 +154,7 @@ def test_kernels_become_machine_code(
 
 @needs_gpu
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_equals_the_cpu_on_a_gpu_also_as_a_graph(dtype: Any) -> None:
+def test_equals_the_cpu_on_a_gpu_also_as_a_graph(dtype):
     settings: dict[str, Any] = {"random_starts": True, "max_steps": 90, "dtype": dtype, "seed": 2}
     cpu = BatchEngine("field_03", 1000, **settings)
     gpu = BatchEngine("field_03", 1000, device="cuda", **settings)
@@ -189,7 +187,7 @@ def test_equals_the_cpu_on_a_gpu_also_as_a_graph(dtype: Any) -> None:
     ],
     ids=str,
 )
-def test_own_knowledge_in_random_fields_equals_the_cpu_on_a_gpu(settings: dict[str, Any]) -> None:
+def test_own_knowledge_in_random_fields_equals_the_cpu_on_a_gpu(settings):
     own = {"knowledge": "own", "observation": "entities", "sensing_radius": 100.0, "max_steps": 150}
     fields = FieldSampler(robots=5, rois=24, size=700, seed=4)
     cpu = BatchEngine(fields, 1024, seed=3, **own, **settings)

@@ -3,7 +3,6 @@
 import copy
 import multiprocessing
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -66,7 +65,7 @@ class Runner:
 
 
 @pytest.mark.parametrize("make", [parallel_env, centralized_env, BatchEngine])
-def test_interleaved_instances_and_copies_agree_bitwise(make: Callable[..., Any]) -> None:
+def test_interleaved_instances_and_copies_agree_bitwise(make):
     rng = np.random.default_rng(0)
     first, second, stranger = (Runner(make) for _ in range(3))
     stranger.reset(seed=8)
@@ -97,9 +96,7 @@ def test_interleaved_instances_and_copies_agree_bitwise(make: Callable[..., Any]
     ],
     ids=["plain", "disturbed", "sampler", "own"],
 )
-def test_engine_continues_from_saved_arrays(
-    source: Any, settings: dict[str, Any], tmp_path: Path
-) -> None:
+def test_engine_continues_from_saved_arrays(source, settings, tmp_path):
     def make(seed: int) -> BatchEngine:
         return BatchEngine(source, 4, seed=seed, **settings)
 
@@ -125,7 +122,7 @@ def test_engine_continues_from_saved_arrays(
     assert go_on(other, 120) == expected
 
 
-def test_loaded_worlds_wait_for_a_reset_as_saved() -> None:
+def test_loaded_worlds_wait_for_a_reset_as_saved():
     saved = BatchEngine("field_03", 2).save_state()  # never reset
     other = BatchEngine("field_03", 2)
     other.reset()
@@ -159,7 +156,7 @@ def trajectory(case: str, **batch: Any) -> list[NDArray[Any]]:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_world_depends_on_neither_batch_nor_block_nor_threads(case: str) -> None:
+def test_world_depends_on_neither_batch_nor_block_nor_threads(case):
     expected = trajectory(case, num_worlds=600, threads=1)
     assert sum(int(flags.sum()) for flags in expected if flags.dtype == np.bool_) > 300
     # The blocks of 256 worlds lie elsewhere in a batch that begins with another world.
@@ -177,13 +174,13 @@ def _rewards_of_threads(worlds: int) -> list[float]:
     return engine.step(engine.sample_actions())[1].sum(axis=1).tolist()
 
 
-def test_forked_children_of_threads_step() -> None:
+def test_forked_children_of_threads_step():
     expected = _rewards_of_threads(4)
     with multiprocessing.get_context("fork").Pool(1) as pool:
         assert pool.apply_async(_rewards_of_threads, (4,)).get(timeout=60) == expected
 
 
-def test_threads_take_actions_that_cannot_be_written() -> None:
+def test_threads_take_actions_that_cannot_be_written():
     free, kept = (BatchEngine("field_01", 600, threads=2) for _ in range(2))
     free.reset(), kept.reset()
     for can in (True, False, True):
@@ -194,7 +191,7 @@ def test_threads_take_actions_that_cannot_be_written() -> None:
             np.testing.assert_array_equal(one, other)
 
 
-def test_seed_and_number_decide_an_episode() -> None:
+def test_seed_and_number_decide_an_episode():
     engine = BatchEngine("field_03", 3, **SETTINGS)
     starts = [engine.reset(seed=9).copy(), engine.reset().copy(), engine.reset().copy()]
     assert engine.reset(seed=9, episode=2).tobytes() == starts[2].tobytes()
@@ -205,7 +202,7 @@ def test_seed_and_number_decide_an_episode() -> None:
         engine.reset(seed=1, episode=-1)
 
 
-def test_random_starts_are_in_the_field_and_apart() -> None:
+def test_random_starts_are_in_the_field_and_apart():
     engine = BatchEngine("field_05", 500, dtype="float64", **SETTINGS)
     polygon = engine.field.polygon
     engine.reset()

@@ -2,7 +2,6 @@
 
 import math
 from statistics import NormalDist
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ SQUARE = Field(
 )
 
 
-def test_random_numbers_are_those_of_the_page() -> None:
+def test_random_numbers_are_those_of_the_page():
     for place in [(0, 0, 0), (2**63 - 1, 5, 7), (3, 2**40, 1)]:
         key = random_numbers.stream_key(*place, random_numbers.FOR_GUSTS)
         assert key == expected.key_of(*place, expected.GUSTS)
@@ -32,7 +31,7 @@ def test_random_numbers_are_those_of_the_page() -> None:
             assert found == expected.normal(key, counter)
 
 
-def test_normal_numbers_are_normal() -> None:
+def test_normal_numbers_are_normal():
     key = expected.key_of(1, 2, 3, 4)
     found = np.sort([float(expected.normal(key, counter)) for counter in range(20_000)])
     assert abs(found.mean()) < 0.02 and abs(found.var() - 1.0) < 0.03
@@ -40,7 +39,7 @@ def test_normal_numbers_are_normal() -> None:
     assert np.abs([NormalDist().cdf(x) for x in found] - share).max() < 0.011
 
 
-def test_elementary_functions() -> None:
+def test_elementary_functions():
     for x in np.linspace(-40.0, 0.0, 1001).tolist():
         assert functions.exponential(x) == pytest.approx(math.exp(x), rel=3e-14)
     assert functions.exponential(0.0) == 1.0
@@ -56,7 +55,7 @@ def test_elementary_functions() -> None:
 
 
 @pytest.mark.parametrize("real", [np.float32, np.float64])
-def test_headings_stay_in_half_a_turn_either_way(real: Any) -> None:
+def test_headings_stay_in_half_a_turn_either_way(real):
     pi = real(math.pi)
     for heading, turn, found in [(3.0, 0.5, 3.5 - 2 * math.pi), (-3.0, -0.5, 2 * math.pi - 3.5)]:
         assert functions.turned(real(heading), real(turn), pi) == pytest.approx(found, abs=1e-6)
@@ -75,7 +74,7 @@ def test_headings_stay_in_half_a_turn_either_way(real: Any) -> None:
         {"gust": 0.15, "action_delay": 1},
     ],
 )
-def test_plan_and_optimum_are_for_undisturbed_point_masses(settings: dict[str, Any]) -> None:
+def test_plan_and_optimum_are_for_undisturbed_point_masses(settings):
     assert optimal_return(SQUARE) is not None
     config = make_config(settings)
     assert optimal_return(SQUARE, config) is None
@@ -84,7 +83,7 @@ def test_plan_and_optimum_are_for_undisturbed_point_masses(settings: dict[str, A
     assert {problem.split(":")[0] for problem in caught.value.problems} == settings.keys()
 
 
-def test_plan_takes_limits_of_each_robot_and_replanning_takes_gusts() -> None:
+def test_plan_takes_limits_of_each_robot_and_replanning_takes_gusts():
     problem = make_problem(SQUARE, make_config({"f_max": (1.0, 2.0), "v_clip": (3.0, 4.0)}))
     assert problem.forces.tolist() == [[1.0, 1.0], [2.0, 2.0]]
     assert [drive.top for drive in problem.drives] == [3.0, 4.0]

@@ -40,7 +40,7 @@ def engine() -> BatchEngine:
     return BatchEngine("field_03", 200, threads=1, **{**EVERYTHING, **DRAWN, "max_steps": 4})
 
 
-def test_episode_draws_the_numbers_of_the_page(engine: BatchEngine) -> None:
+def test_episode_draws_the_numbers_of_the_page(engine):
     engine.reset(seed=5)
     for episode in range(2):
         drawn = engine.drawn()
@@ -56,7 +56,7 @@ def test_episode_draws_the_numbers_of_the_page(engine: BatchEngine) -> None:
         engine.reset()
 
 
-def test_numbers_hold_for_an_episode(engine: BatchEngine) -> None:
+def test_numbers_hold_for_an_episode(engine):
     engine.reset(seed=1)
     first = engine.drawn()
     for _ in range(4):
@@ -68,7 +68,7 @@ def test_numbers_hold_for_an_episode(engine: BatchEngine) -> None:
         assert (engine.drawn()[name] != first[name]).all()
 
 
-def test_given_starts_are_checked_for_the_lowest_drawn_distance() -> None:
+def test_given_starts_are_checked_for_the_lowest_drawn_distance():
     near = [(200.0, 200.0), (200.0, 206.0)]
     field = Field([(0, 0), (400, 0), (400, 400), (0, 400)], [(300, 300)], [(50, 50), (90, 90)])
     given = near, [near[0], (200.0, 204.0)], None
@@ -78,7 +78,7 @@ def test_given_starts_are_checked_for_the_lowest_drawn_distance() -> None:
             BatchEngine(field, 1, **drawn)
 
 
-def test_conditions_have_the_numbers_of_the_page() -> None:
+def test_conditions_have_the_numbers_of_the_page():
     page = (ROOT / "docs" / "conditions.md").read_text(encoding="utf-8")
     for name, settings in CONDITIONS.items():
         row = next(line for line in page.splitlines() if line.startswith(f"| `{name}` |"))
@@ -100,7 +100,7 @@ def test_conditions_have_the_numbers_of_the_page() -> None:
             make_config({"condition": unknown})
 
 
-def test_every_condition_has_an_id() -> None:
+def test_every_condition_has_an_id():
     for name in CONDITIONS:
         settings = dict(gymnasium.spec(environment_id("field_03", name)).kwargs)
         assert settings.pop("field") == "field_03"

@@ -31,7 +31,7 @@ def first(engine: BatchEngine) -> tuple[list[float], list[float], float]:
     return now.positions[0].tolist(), now.velocities[0].tolist(), float(now.headings[0])
 
 
-def test_holonomic_takes_the_velocity_of_the_action() -> None:
+def test_holonomic_takes_the_velocity_of_the_action():
     engine = driven((0.05, -1.0), (0.05, -1.0), dynamics="holonomic", mass=2.0)
     # 0.25 of the force of 0.5 is a change of 0.25 at most; the wanted velocity is (0.25, -5).
     assert first(engine)[:2] == ([20.5, 49.25], [0.25, -0.5])
@@ -40,7 +40,7 @@ def test_holonomic_takes_the_velocity_of_the_action() -> None:
     assert first(blown)[1] == [0.125, 0.0]  # it brakes the velocity that the wind gave before
 
 
-def test_unicycle_turns_then_moves_along_its_heading() -> None:
+def test_unicycle_turns_then_moves_along_its_heading():
     engine = driven(FORWARD, (1.0, 1.0), (-1.0, 1.0), dynamics="unicycle", turn_max=math.pi / 6)
     c, s = math.cos(math.pi / 6), 0.5
     place, velocity, heading = first(engine)
@@ -55,7 +55,7 @@ def test_unicycle_turns_then_moves_along_its_heading() -> None:
     assert first(blown)[1] == pytest.approx([0.0, 0.25], abs=1e-15)
 
 
-def test_bicycle_turns_by_its_speed() -> None:
+def test_bicycle_turns_by_its_speed():
     still = driven(LEFT, LEFT, dynamics="bicycle")
     assert first(still) == ([20.0, 50.0], [0.0, 0.0], 0.0)
     engine = driven((1.0, 1.0), (1.0, -1.0), dynamics="bicycle", wheelbase=2.0, steer_max=0.75)
@@ -69,7 +69,7 @@ def test_bicycle_turns_by_its_speed() -> None:
 
 
 @pytest.mark.parametrize("kind", ["brake", "coast", "vanish"])
-def test_failed_robot_of_each_dynamics(kind: Any) -> None:
+def test_failed_robot_of_each_dynamics(kind):
     failing = Failures(at={0: 3, 1: 3, 2: 3}, kind=kind)
     actions = ((1.0, -1.0), (1.0, -1.0), (1.0, 0.0))
     settings: dict[str, Any] = {"failures": failing, "wind": (0.125, 0.0), "f_max": 0.25}
@@ -87,7 +87,7 @@ def test_failed_robot_of_each_dynamics(kind: Any) -> None:
     assert engine.metrics()["path_length"][1, 2] == 0.375 + 0.75 + path
 
 
-def test_robots_that_work_share_what_the_team_gets() -> None:
+def test_robots_that_work_share_what_the_team_gets():
     near = Field(CORNERS, rois=[(90.0, 50.0)], starts=STARTS)
     engine = driven(field=near, failures=Failures(at={0: 1}), roi_radius=9.5)
     _, rewards, terminated, _ = engine.step(np.broadcast_to([FORWARD], (2, 3, 2)))

@@ -90,7 +90,7 @@ BAD_CALLS: list[Call] = [
 
 
 @pytest.mark.parametrize("autoreset", ["same_step", "next_step"])
-def test_bad_calls_change_nothing(autoreset: Any) -> None:
+def test_bad_calls_change_nothing(autoreset):
     engine = make_engine(autoreset=autoreset)
     twin, before = copy.deepcopy(engine), observable(engine)
     for call, error, words in BAD_CALLS:
@@ -108,7 +108,7 @@ def test_bad_calls_change_nothing(autoreset: Any) -> None:
 
 
 @pytest.mark.parametrize("dtype", PRECISIONS)
-def test_actions_of_every_real_type_are_accepted_unchanged(dtype: Any) -> None:
+def test_actions_of_every_real_type_are_accepted_unchanged(dtype):
     def told(actions: Any) -> list[bytes]:
         engine = make_engine(dtype=dtype)
         engine.step(actions)
@@ -122,7 +122,7 @@ def test_actions_of_every_real_type_are_accepted_unchanged(dtype: Any) -> None:
     assert told(np.full((W, N, 2), -1e300)) == told(np.full((W, N, 2), -1.0))
 
 
-def test_step_before_reset() -> None:
+def test_step_before_reset():
     engine, fresh = BatchEngine(FIELD, W), BatchEngine(FIELD, W)
     for mask, world in (([False] * 4, 0), ([True, True, False, True], 2)):
         engine.reset_worlds(np.array(mask))
@@ -142,7 +142,7 @@ def ended_engine() -> BatchEngine:
     return engine
 
 
-def test_step_after_the_end() -> None:
+def test_step_after_the_end():
     engine = ended_engine()
     before = observable(engine)
     for active, error, place in (
@@ -160,7 +160,7 @@ def test_step_after_the_end() -> None:
     assert engine.metrics()["steps"].tolist() == [1, 1, 1, 1]
 
 
-def test_ended_worlds_can_be_skipped() -> None:
+def test_ended_worlds_can_be_skipped():
     engine = ended_engine()
     before = [engine.snapshot(world) for world in range(W)]
     _, rewards, terminated, truncated = engine.step(
@@ -216,7 +216,7 @@ BAD_SETTINGS: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-def test_bad_settings() -> None:
+def test_bad_settings():
     for settings, places in BAD_SETTINGS:
         with pytest.raises(ConfigError) as caught:
             BatchEngine(**{"field": FIELD, **settings})
@@ -226,7 +226,7 @@ def test_bad_settings() -> None:
         parallel_env(FIELD).reset(options={"starts": [[1, 2], [3]]})
 
 
-def test_bad_fields() -> None:
+def test_bad_fields():
     field = load_field(FIELD)
     other = Field(field.vertices, field.rois, field.starts, arena=(500.0, 400.0))
     for given, error, place in (
@@ -241,7 +241,7 @@ def test_bad_fields() -> None:
             BatchEngine(given)
 
 
-def test_all_arguments_are_checked_at_once() -> None:
+def test_all_arguments_are_checked_at_once():
     wrong: Any = {"autoreset": "x", "threads": 0, "mass": -1}
     with pytest.raises(ConfigError) as caught:
         BatchEngine("field_03", 0, **wrong)
@@ -254,7 +254,7 @@ def test_all_arguments_are_checked_at_once() -> None:
         BatchEngine("field_03", 1, starts=[(120.0, 120.0), (150.0, 150.0), (np.nan, 1.0)])
 
 
-def test_what_only_one_mode_keeps_is_refused_in_others() -> None:
+def test_what_only_one_mode_keeps_is_refused_in_others():
     engine = BatchEngine("field_03", 2, autoreset="next_step")
     engine.reset()
     for read in (engine.final_state, engine.final_drawn, lambda: engine.final_observations):
@@ -265,7 +265,7 @@ def test_what_only_one_mode_keeps_is_refused_in_others() -> None:
             engine.config_in(world)
 
 
-def test_calls_that_do_not_fit_the_engine_are_refused() -> None:
+def test_calls_that_do_not_fit_the_engine_are_refused():
     engine, drawn = BatchEngine(FIELD, 1), BatchEngine(FieldSampler(), 1)
     engine.set_field(FIELD)
     calls: tuple[tuple[Callable[[], object], str], ...] = (
@@ -282,9 +282,7 @@ def test_calls_that_do_not_fit_the_engine_are_refused() -> None:
 @pytest.mark.parametrize(
     ("robots", "limit", "autoreset"), [(1, 127, "disabled"), (3, 84, "next_step")]
 )
-def test_waiting_world_leaves_the_memory_of_others_alone(
-    robots: int, limit: int, autoreset: Any
-) -> None:
+def test_waiting_world_leaves_the_memory_of_others_alone(robots, limit, autoreset):
     """At the time limit the filter of visited ground is full; one more step would overflow it."""
     how = {"n_robots": robots, "max_steps": limit, "safety_distance": 0.0, "autoreset": autoreset}
     engine = BatchEngine(FIELD, 2, **how)
@@ -303,7 +301,7 @@ def test_waiting_world_leaves_the_memory_of_others_alone(
     assert 0 < np.count_nonzero(filters[1] != before) <= robots
 
 
-def test_skipped_world_keeps_its_outcome() -> None:
+def test_skipped_world_keeps_its_outcome():
     square = [(0, 0), (90, 0), (90, 90), (0, 90)]
     visit, still = Field(square, [(22, 20)], [(20, 20), (20, 50)]), np.zeros((2, 2, 2))
     crash = Field(square, [(80, 80)], [(20, 20), (20, 40)])
@@ -322,7 +320,7 @@ def test_skipped_world_keeps_its_outcome() -> None:
         assert before.judged().collision != success
 
 
-def test_models_list_all_their_problems() -> None:
+def test_models_list_all_their_problems():
     for make, places in (
         (lambda: Uniform(True, 2), {"low"}),
         (lambda: FieldSampler(arena=("700", True), seed=True), {"arena.0", "arena.1", "seed"}),
@@ -340,7 +338,7 @@ def test_models_list_all_their_problems() -> None:
 
 
 @pytest.mark.parametrize("make", [parallel_env, raw_env, centralized_env, CentralizedVecEnv])
-def test_repr_names_the_class_and_the_fields(make: Callable[..., object]) -> None:
+def test_repr_names_the_class_and_the_fields(make):
     env = make(FIELD)
     assert repr(env).startswith(f"<{type(env).__name__} {FIELD}: 3 robots, 6 ROIs")
     assert repr(BatchEngine([FIELD, "field_05"], 2)).startswith("<BatchEngine field_03, field_05: ")

@@ -27,7 +27,7 @@ def engine_of(rois: Any, starts: Any) -> BatchEngine:
     return engine
 
 
-def test_at_rest_by_hand() -> None:
+def test_at_rest_by_hand():
     engine = engine_of([(26.0, 58.0)], [(20.0, 50.0), (50.0, 90.0)])
     found = entries(engine, 0)
     expected = {
@@ -51,7 +51,7 @@ def test_at_rest_by_hand() -> None:
     assert {name: found[name] for name in expected} == pytest.approx(expected, abs=1e-6)
 
 
-def test_assignment_by_hand() -> None:
+def test_assignment_by_hand():
     """Robot 0 goes to A, 10, and C, 45 + 20 / 8; robot 1 to B, 40 + 30 / 8.
 
     If robot 1 goes to C and B, that is 60.6, and what going back costs, instead of 57.5.
@@ -66,7 +66,7 @@ def test_assignment_by_hand() -> None:
         assert [found[f"roi_{j}_seen"] for j in range(3)] == [1.0] * 3
 
 
-def test_worlds_that_are_left_out_keep_their_assignment() -> None:
+def test_worlds_that_are_left_out_keep_their_assignment():
     """World 0 has ended, robot 0 one step from A, at full speed; world 2 is never reset."""
     field = Field(SQUARE, [(36.0, 50.0), *ABC[1:]], [(22.0, 50.0), (60.0, 90.0)])
     settings = {"autoreset": "disabled", "max_steps": 2, "roi_radius": 1.0, "f_max": 4.0}
@@ -82,7 +82,7 @@ def test_worlds_that_are_left_out_keep_their_assignment() -> None:
     assert entries(engine, 0) == before
 
 
-def test_way_around_a_corner_by_hand() -> None:
+def test_way_around_a_corner_by_hand():
     """The waypoint is 3 units off (60, 50), at (57.88, 47.88); failed robots see ways too."""
     rois, starts = [(30.0, 95.0), (90.0, 45.0)], [(90.0, 20.0), (10.0, 95.0)]
     field = Field(vertices=LETTER_L, rois=rois, starts=starts)

@@ -92,7 +92,7 @@ FORMS = {
 
 @pytest.mark.parametrize("dtype", PRECISIONS)
 @pytest.mark.parametrize("form", FORMS)
-def test_golden_episodes(form: str, dtype: str) -> None:
+def test_golden_episodes(form, dtype):
     close = {"rtol": ROUNDING[dtype] if form == "parallel" else 0.0, "atol": 0.0}
     there = set()
     for episode, played in FORMS[form](dtype):

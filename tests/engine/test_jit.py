@@ -40,7 +40,7 @@ def probe(folder: Path, cache: Path, warning: str = "", largest: int = -1) -> li
     return done.stdout.split()
 
 
-def test_cache_is_used_and_renewed(tmp_path: Path) -> None:
+def test_cache_is_used_and_renewed(tmp_path):
     for name in ("mbn_marl", "envs_catalog"):
         shutil.copytree(PACKAGE / name, tmp_path / name)
     assert probe(tmp_path, tmp_path / "nb") == ["3.5", "0"]
@@ -52,14 +52,14 @@ def test_cache_is_used_and_renewed(tmp_path: Path) -> None:
     assert probe(tmp_path, tmp_path / "nb") == ["2.5", "0"]
 
 
-def test_engine_without_its_compiler_is_refused() -> None:
+def test_engine_without_its_compiler_is_refused():
     command = [sys.executable, "-c", "from mbn_marl import parallel_env"]
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode and "MbnError: NUMBA_DISABLE_JIT: " in done.stderr
 
 
-def test_damaged_code_is_compiled_again(tmp_path: Path) -> None:
+def test_damaged_code_is_compiled_again(tmp_path):
     assert probe(PACKAGE, tmp_path) == ["3.5", "0"]
     for suffix, damage in ((".nbi", "cut"), (".nbc", "cut"), (".nbc", "one byte")):
         (place,) = tmp_path.rglob(f"*{suffix}")
@@ -71,14 +71,14 @@ def test_damaged_code_is_compiled_again(tmp_path: Path) -> None:
         assert probe(PACKAGE, tmp_path) == ["3.5", "1"]
 
 
-def test_code_that_cannot_be_kept_is_used(tmp_path: Path) -> None:
+def test_code_that_cannot_be_kept_is_used(tmp_path):
     for _ in range(2):
         assert probe(PACKAGE, tmp_path, f"{tmp_path}", largest=100) == ["3.5", "0"]
     (tmp_path / "file").touch()
     assert probe(PACKAGE, tmp_path / "file", f"NUMBA_CACHE_DIR={tmp_path}")[0] == "3.5"
 
 
-def test_only_what_python_calls_becomes_machine_code() -> None:
+def test_only_what_python_calls_becomes_machine_code():
     @compiled
     def twice(x):
         return 2 * x
@@ -99,7 +99,7 @@ class Pair(NamedTuple):
     right: Any
 
 
-def test_rule_takes_its_arguments_whole() -> None:
+def test_rule_takes_its_arguments_whole():
     def worth(pair, weight):
         left, best, where = pair.left, -1.0, -1
         twice = 2 * weight
@@ -127,7 +127,7 @@ def test_rule_takes_its_arguments_whole() -> None:
     assert len(list(function.arguments)) == 2 + len(("result", "exception"))
 
 
-def test_arrays_stay_among_rules_that_do_not_count_references() -> None:
+def test_arrays_stay_among_rules_that_do_not_count_references():
     @returning_views
     def turned(pair):
         return pair[1][1:], pair[0]
@@ -147,7 +147,7 @@ def test_arrays_stay_among_rules_that_do_not_count_references() -> None:
         compiled(lambda pair: pair[0].copy().sum())(pair)
 
 
-def test_every_source_and_its_place_count(tmp_path: Path) -> None:
+def test_every_source_and_its_place_count(tmp_path):
     package = tmp_path / "mbn_marl"
     shutil.copytree(Path(mbn_marl.__file__).parent, package)
     digests = [digest_of_sources(package)]
@@ -161,7 +161,7 @@ def test_every_source_and_its_place_count(tmp_path: Path) -> None:
     assert len(set(digests)) == 6
 
 
-def test_code_without_a_module_is_compiled_beside_the_engine() -> None:
+def test_code_without_a_module_is_compiled_beside_the_engine():
     names: dict[str, Any] = {}
     exec("def double(x):\n    return 2 * x\n", names)
     assert numba.njit(names["double"])(2) == 4
@@ -174,13 +174,13 @@ class Settings(NamedTuple):
     weight: Any
 
 
-def test_branches_of_settled_constants_are_not_compiled() -> None:
+def test_branches_of_settled_constants_are_not_compiled():
     @compiled
-    def twice(x):  # type: ignore[no-untyped-def]
+    def twice(x):
         return 2 * x
 
     @compiled
-    def worth(settings, x):  # type: ignore[no-untyped-def]
+    def worth(settings, x):
         if settings.kind == 1:
             return twice(x)
         return x + settings.weight
@@ -191,9 +191,7 @@ def test_branches_of_settled_constants_are_not_compiled() -> None:
     assert worth(Settings(1, 0.5), 2.0) == 4.0 and worth(Settings(0, 0.5), 2.0) == 2.5
 
 
-def test_numbas_own_compiler_takes_over_where_ours_fails(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_numbas_own_compiler_takes_over_where_ours_fails(monkeypatch, caplog):
     monkeypatch.delenv(compile.PLAIN, raising=False)
     monkeypatch.setattr(compile, "PROVEN", ())
     assert compile.compiler_of_rules() is inlining.PartCompiler

@@ -22,7 +22,7 @@ PLAIN, SWAP = Field(**PLACES), Field(**PLACES, roi_kinds=(7, 3, None), start_kin
 
 
 @pytest.mark.slow
-def test_robots_visit_the_rois_of_their_kind() -> None:
+def test_robots_visit_the_rois_of_their_kind():
     engine = BatchEngine([SWAP, PLAIN], 2, autoreset=False, observation="lidar_local")
     engine.reset()
     for robot, mine in enumerate([[0.0, 1.0, 1.0], [1.0, 0.0, 1.0]]):
@@ -46,7 +46,7 @@ def test_robots_visit_the_rois_of_their_kind() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["greedy", "planner", "replan", "greedy-local"])
-def test_classical_policies_keep_to_their_kinds(name: str) -> None:
+def test_classical_policies_keep_to_their_kinds(name):
     own = {"observation": "lidar_local", "knowledge": "own"} if name == "greedy-local" else {}
     policy = make_classical(name, SWAP, own)
     engine = BatchEngine(SWAP, 1, autoreset=False, max_steps=200, **own)
@@ -57,7 +57,7 @@ def test_classical_policies_keep_to_their_kinds(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_policy_over_sets_acts_on_kinds_that_it_has_not_met() -> None:
+def test_a_policy_over_sets_acts_on_kinds_that_it_has_not_met():
     field = Field(**{**SWAP.to_dict(), "starts": [(120.0, 120.0), (280.0, 180.0)]})
     policy = load_policy("zoo:generalist", field)
     engine = BatchEngine(field, 1, autoreset=False, **policy.settings)
@@ -71,7 +71,7 @@ def test_a_policy_over_sets_acts_on_kinds_that_it_has_not_met() -> None:
 
 
 @pytest.mark.slow
-def test_plans_are_bounded_by_the_kinds() -> None:
+def test_plans_are_bounded_by_the_kinds():
     plain, swap = plan(PLAIN), plan(SWAP)
     assert swap.makespan is not None and plain.makespan is not None
     assert plain.makespan < swap.makespan_lower_bound <= swap.makespan

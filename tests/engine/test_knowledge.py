@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,7 +35,7 @@ ROW = Field(SQUARE, [(10.0, 55.0), (90.0, 90.0)], [(10.0 + 20.0 * k, 50.0) for k
     ],
     ids=str,
 )
-def test_words_pass_from_robot_to_robot(settings: dict[str, Any], steps: list[int]) -> None:
+def test_words_pass_from_robot_to_robot(settings, steps):
     how: dict[str, Any] = {**OWN, "sensing_radius": 25.0, "comm_radius": 25.0, **settings}
     engine = BatchEngine(ROW, 2, threads=1, **how)
     engine.reset()
@@ -54,7 +53,7 @@ def test_words_pass_from_robot_to_robot(settings: dict[str, Any], steps: list[in
 
 @pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 2])
-def test_recorded_words_are_those_that_were_received(delay: int, tmp_path: Path) -> None:
+def test_recorded_words_are_those_that_were_received(delay, tmp_path):
     """Robot 0 sees the ROI in step 1; each other one learns of it from the one before it alone."""
     rare: dict[str, Any] = {"comm_radius": 25.0, "comm_loss": 0.8, "comm_delay": delay}
     config = make_config({**OWN, **rare, "sensing_radius": 25.0, "hidden_rois": True})
@@ -72,7 +71,7 @@ def test_recorded_words_are_those_that_were_received(delay: int, tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_everybody_in_reach_is_a_team() -> None:
+def test_everybody_in_reach_is_a_team():
     team, own = (
         BatchEngine("field_03", 40, seed=3, roi_radius=40.0, max_steps=60, **settings)
         for settings in ({"observation": "entities"}, {**OWN, "comm_radius": math.inf})
@@ -86,7 +85,7 @@ def test_everybody_in_reach_is_a_team() -> None:
 
 
 @pytest.mark.slow
-def test_decoys_are_drawn_alike_and_told_to_nobody() -> None:
+def test_decoys_are_drawn_alike_and_told_to_nobody():
     engine = BatchEngine("field_03", 3000, decoys=(1, 2), look_radius=0.0, **OWN)
     seen = engine.reset()
     for numbers in (engine.state()[:, -1], engine.metrics()["rois_visited"]):
@@ -103,12 +102,12 @@ def test_decoys_are_drawn_alike_and_told_to_nobody() -> None:
 
 
 @pytest.mark.slow
-def test_no_decoys_as_a_range_are_none() -> None:
+def test_no_decoys_as_a_range_are_none():
     assert make_config({"decoys": (0, 0)}) == make_config({})
     assert make_config({"decoys": (0, 0), "empty_rois": (1,), **OWN}).empty_rois == (1,)
 
 
-def test_given_rois_are_empty_in_all_episodes() -> None:
+def test_given_rois_are_empty_in_all_episodes():
     engine = BatchEngine("field_03", 3, empty_rois=(4, 1, 4), **OWN)
     for _ in range(2):
         engine.reset()
@@ -117,7 +116,7 @@ def test_given_rois_are_empty_in_all_episodes() -> None:
 
 
 @pytest.mark.slow
-def test_the_end_is_that_of_the_real_rois() -> None:
+def test_the_end_is_that_of_the_real_rois():
     engine = BatchEngine(ROW, 40, autoreset=False, decoys=1, **OWN)
     engine.reset()
     _, _, terminated, _ = engine.step(np.zeros((40, 4, 2)))
@@ -152,7 +151,7 @@ def test_the_end_is_that_of_the_real_rois() -> None:
     ],
     ids=str,
 )
-def test_wrong_settings_are_named(settings: dict[str, Any], place: str) -> None:
+def test_wrong_settings_are_named(settings, place):
     with pytest.raises(ConfigError) as caught:
         BatchEngine(**{"field": "field_03", "num_worlds": 2, **settings})
     (problem,) = caught.value.problems
@@ -160,14 +159,14 @@ def test_wrong_settings_are_named(settings: dict[str, Any], place: str) -> None:
 
 
 @pytest.mark.parametrize("make", [centralized_env, CentralizedVecEnv, CentralizedVectorEnv])
-def test_central_forms_refuse_own_knowledge(make: Any) -> None:
+def test_central_forms_refuse_own_knowledge(make):
     source = {"num_envs": 2} if make is CentralizedVectorEnv else {}
     with pytest.raises(ConfigError) as caught:
         make(field="field_03", **source, **OWN)
     assert caught.value.problems[0].startswith("knowledge: ")
 
 
-def test_bounds_are_those_of_a_team_that_knows_all() -> None:
+def test_bounds_are_those_of_a_team_that_knows_all():
     field, own = load_field("field_03"), make_config({**OWN, "comm_radius": 0.0})
     some = make_config({**OWN, "decoys": 1})
     assert optimal_makespan(field, own) == field.optimal_makespan

@@ -59,7 +59,7 @@ def digests(name: str) -> dict[str, str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BATCHES)
-def test_every_machine_finds_the_same_bits(name: str) -> None:
+def test_every_machine_finds_the_same_bits(name):
     found = digests(name)
     assert found == dict(zip(found, EXPECTED[name].split(), strict=True))
 

@@ -40,7 +40,7 @@ def rays(found: dict[str, float]) -> list[float]:
 
 
 @PRECISIONS
-def test_lidar_at_rest_by_hand(dtype: Any) -> None:
+def test_lidar_at_rest_by_hand(dtype):
     found = seen(TWO, dtype=dtype)
     assert list(found) == [
         *("own_x", "own_y", "own_vx", "own_vy"),
@@ -60,7 +60,7 @@ def test_lidar_at_rest_by_hand(dtype: Any) -> None:
 
 
 @pytest.mark.parametrize("step", [1, -1], ids=["counter-clockwise", "clockwise"])
-def test_rays_do_not_depend_on_the_direction_of_rings(step: int) -> None:
+def test_rays_do_not_depend_on_the_direction_of_rings(step):
     field = field_of((20.0, 20.0), vertices=LETTER_L[::step], rois=[(20.0, 90.0)])
     expected = [0.8, 0.4 * ROOT, 0.8, 0.2 * ROOT, 0.2, 0.2 * ROOT, 0.2, 0.2 * ROOT]
     assert rays(seen(field)) == pytest.approx(expected, abs=1e-6)
@@ -69,7 +69,7 @@ def test_rays_do_not_depend_on_the_direction_of_rings(step: int) -> None:
 
 
 @PRECISIONS
-def test_rays_from_a_wall(dtype: Any) -> None:
+def test_rays_from_a_wall(dtype):
     for start, free in (
         ((100.0, 30.0), {0: 0.0, 1: 0.0, 2: 0.7, 4: 1.0, 6: 0.3, 7: 0.0}),  # on the right wall
         ((0.0, 0.0), {0: 1.0, 1: 0.4 * ROOT, 2: 1.0, 3: 0.0, 4: 0.0, 5: 0.0, 6: 0.0, 7: 0.0}),
@@ -82,7 +82,7 @@ def test_rays_from_a_wall(dtype: Any) -> None:
 
 
 @PRECISIONS
-def test_time_to_the_wall_and_brake_by_hand(dtype: Any) -> None:
+def test_time_to_the_wall_and_brake_by_hand(dtype):
     # Velocities 0.5, 1, ... 4: 18 units, and 14 more until it rests, 3.5 + 3 + ... + 0.5.
     drive = [(1.0, 0.0)] * 8
     for room, inside in ((32.0, 1.0), (31.9, 0.0)):
@@ -96,7 +96,7 @@ def test_time_to_the_wall_and_brake_by_hand(dtype: Any) -> None:
     assert seen(field_of((10.0, 50.0)), (0.0, 0.0), **held)["brake_inside"] == 0.0
 
 
-def test_radius_beyond_the_arena_is_its_diagonal() -> None:
+def test_radius_beyond_the_arena_is_its_diagonal():
     diagonal = float(np.hypot(*TWO.arena))
     far = seen(TWO, observation="lidar_local", sensing_radius=1e4)
     assert far == seen(TWO, sensing_radius=diagonal)
@@ -118,7 +118,7 @@ def moved(observation: str, radius: float, **settings: Any) -> BatchEngine:
 
 
 @pytest.mark.parametrize("observation", SIGHTS)
-def test_headings_failures_and_dropout_are_shown(observation: str) -> None:
+def test_headings_failures_and_dropout_are_shown(observation):
     turned = [pytest.approx(math.cos(0.6)), pytest.approx(math.sin(0.6))]
     for kind in ("brake", "vanish"):
         engine = moved(observation, 1000.0, failures=Failures(at={2: 2}, kind=kind))

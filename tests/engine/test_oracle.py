@@ -18,7 +18,7 @@ def make_field(starts, rois=((90.0, 90.0),), vertices=SQUARE, holes=()):
     return SimpleNamespace(**values, arena=(1000.0, 1000.0), roi_kinds=())
 
 
-def test_golden_episodes() -> None:
+def test_golden_episodes():
     episodes = load_episodes()
     for episode in episodes:
         field = make_field(**FIELDS[episode.field])
@@ -42,7 +42,7 @@ HOLE = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
 
 
 @pytest.mark.parametrize(("start", "holes"), [(99.5, ()), (39.5, (HOLE,))])
-def test_boundary_is_inside_and_robots_stay_and_pay_beyond_it(start, holes) -> None:
+def test_boundary_is_inside_and_robots_stay_and_pay_beyond_it(start, holes):
     oracle = Oracle(make_field(starts=[(start, 50.0)], holes=holes))
     assert oracle.step([(1.0, 0.0)]).wall == [False]
     step = oracle.step([(-1.0, 0.0)])  # the velocity is back to 0: it stays, on known ground
@@ -52,14 +52,14 @@ def test_boundary_is_inside_and_robots_stay_and_pay_beyond_it(start, holes) -> N
     assert oracle.state()[:4] == (start + 0.5, 50.0, 0.0, 0.0)
 
 
-def test_ground_of_an_earlier_robot_is_known_in_the_same_step() -> None:
+def test_ground_of_an_earlier_robot_is_known_in_the_same_step():
     field = make_field(starts=[(20.0, 20.0), (20.0, 20.0)])
     step = Oracle(field, safety_distance=0.0).step([STILL, STILL])
     assert step.revisit == [False, True]
     assert step.team_reward == -110.0
 
 
-def test_roi_at_exactly_the_radius_is_visited_by_the_lowest_index() -> None:
+def test_roi_at_exactly_the_radius_is_visited_by_the_lowest_index():
     field = make_field(starts=[(80.0, 90.0), (100.0, 90.0)], rois=[(90.0, 90.0), (10.0, 10.0)])
     oracle = Oracle(field)
     step = oracle.step([STILL, STILL])
@@ -68,7 +68,7 @@ def test_roi_at_exactly_the_radius_is_visited_by_the_lowest_index() -> None:
     assert step.team_reward == 10_000.0 - 20.0
 
 
-def test_exactly_the_safety_distance_is_no_collision_and_closer_is() -> None:
+def test_exactly_the_safety_distance_is_no_collision_and_closer_is():
     apart = Oracle(make_field(starts=[(20.0, 20.0), (30.0, 20.0)]))
     assert not apart.step([STILL, STILL]).terminated
     step = apart.step([(1.0, 0.0), STILL])
@@ -77,7 +77,7 @@ def test_exactly_the_safety_distance_is_no_collision_and_closer_is() -> None:
     assert step.rewards == [-50_000.0, -50_000.0]
 
 
-def test_collision_wins_over_success() -> None:
+def test_collision_wins_over_success():
     starts = [(90.0, 90.0), (92.0, 90.0)]
     released = Oracle(make_field(starts))
     assert released.step([STILL, STILL]).team_reward == -100_000.0
@@ -86,7 +86,7 @@ def test_collision_wins_over_success() -> None:
     assert formal.step([STILL, STILL]).team_reward == -100_000.0 + 100_000.0 - 10.0 + 10.0
 
 
-def test_formal_reward_by_hand() -> None:
+def test_formal_reward_by_hand():
     field = make_field(starts=[(20.0, 20.0), (0.0, 60.0)])
     oracle = Oracle(field, reward="formal")
     assert oracle.step([STILL, STILL]).team_reward == -10.0 - 100.0  # the state of the reset
@@ -97,7 +97,7 @@ def test_formal_reward_by_hand() -> None:
     assert step.terms[1] == dict(step.terms[1], step=5.0, wall=-10_000.0)
 
 
-def test_metrics_by_hand() -> None:
+def test_metrics_by_hand():
     oracle = Oracle(make_field(starts=[(0.0, 50.0)], rois=[(0.0, 50.0), (90.0, 90.0)]))
     oracle.step([(1.0, 0.0)])  # to x = 0.5
     oracle.step([(-1.0, 0.0)])  # velocity 0: stays

@@ -41,7 +41,7 @@ def assert_same_observations(ours: BatchEngine, theirs: BatchEngine, world: int,
     [{"random_starts": True, "reward_sharing": "team"}, {"reward": "formal"}, {**STORM}],
     ids=["starts", "formal", "storm"],
 )
-def test_world_equals_an_engine_with_its_field_alone(settings: dict[str, Any]) -> None:
+def test_world_equals_an_engine_with_its_field_alone(settings):
     settings["max_steps"] = 25
     ours = BatchEngine(ALL, WORLDS, seed=3, **settings)
 
@@ -85,7 +85,7 @@ def test_world_equals_an_engine_with_its_field_alone(settings: dict[str, Any]) -
     assert len(sizes) >= 5
 
 
-def test_fields_depend_on_seed_world_and_episode_alone() -> None:
+def test_fields_depend_on_seed_world_and_episode_alone():
     sampler = FieldSampler(("convex", "farm"), robots=(2, 3), rois=(3, 5), seed=8)
     engine = BatchEngine(sampler, 25, seed=2, threads=2, max_steps=9, first_world=10)
     engine.reset()
@@ -99,7 +99,7 @@ def test_fields_depend_on_seed_world_and_episode_alone() -> None:
     assert len({engine.field_of(world).vertices.tobytes() for world in range(25)}) == 25
 
 
-def test_fixed_fields_may_have_teams_of_different_sizes() -> None:
+def test_fixed_fields_may_have_teams_of_different_sizes():
     big, small = load_field("field_03"), load_field("field_05")
     small = Field(small.vertices, small.rois[:2], small.starts[:2], name="small")
     engine = BatchEngine([big, small], 4, seed=1)
@@ -113,7 +113,7 @@ def test_fixed_fields_may_have_teams_of_different_sizes() -> None:
     assert two.present.all()
 
 
-def test_world_can_be_given_a_field() -> None:
+def test_world_can_be_given_a_field():
     field = load_field("field_09")
     engine = BatchEngine("field_03", 1, seed=1, autoreset=False)
     assert len(field.edges) > len(engine.field.edges)
@@ -136,7 +136,7 @@ def test_world_can_be_given_a_field() -> None:
     assert np.array_equal(sampled.field_of(1).rois, ALL.field(1, 2).rois)
 
 
-def test_fields_and_samplers_that_do_not_fit_are_refused() -> None:
+def test_fields_and_samplers_that_do_not_fit_are_refused():
     engine = BatchEngine("field_03", 3, n_robots=2)
     field = load_field("field_05")
     alone = Field(field.vertices, [*field.rois, *(field.rois + 3)], field.starts[:1])
@@ -153,7 +153,7 @@ def test_fields_and_samplers_that_do_not_fit_are_refused() -> None:
             call()
 
 
-def test_sampler_can_be_replaced() -> None:
+def test_sampler_can_be_replaced():
     small = FieldSampler(FAMILIES, robots=(2, 4), rois=2, size=120, weights=(1, 0, 0, 0, 0), seed=5)
     engine = BatchEngine(ALL, 20, seed=3)
     engine.reset()
@@ -176,7 +176,7 @@ def test_sampler_can_be_replaced() -> None:
     assert larger.present.all()
 
 
-def test_teams_that_start_at_random_may_be_larger_than_the_starts() -> None:
+def test_teams_that_start_at_random_may_be_larger_than_the_starts():
     field = load_field("field_03")
     engine = BatchEngine(field, 50, n_robots=7, random_starts=True, seed=2)
     engine.reset()
@@ -191,7 +191,7 @@ def test_teams_that_start_at_random_may_be_larger_than_the_starts() -> None:
             BatchEngine(field, 1, **wrong)
 
 
-def test_robots_that_find_no_random_place_start_apart() -> None:
+def test_robots_that_find_no_random_place_start_apart():
     """A strip 0.2 wide along the diagonal: of 1000 points in its box, a fifth of one is inside."""
     strip = Field([(0, 0), (0.2, 0), (1000, 999.8), (1000, 1000)], [(500, 499.9)], [(100, 99.9)])
     how: dict[str, Any] = {"n_robots": 5, "random_starts": True}
@@ -213,7 +213,7 @@ def test_robots_that_find_no_random_place_start_apart() -> None:
     assert engine.present.all()
 
 
-def test_absent_robot_leaves_nothing_in_the_revisit_memory() -> None:
+def test_absent_robot_leaves_nothing_in_the_revisit_memory():
     """Robot 0 comes back to its start, which nobody has stood on after a step."""
     sampler = FieldSampler(robots=(1, 3), rois=2, size=200, seed=2)
     ours = BatchEngine(sampler, 6, seed=1, autoreset=False)
@@ -230,7 +230,7 @@ def test_absent_robot_leaves_nothing_in_the_revisit_memory() -> None:
     assert ours.state()[world, 0] == alone.state()[0, 0] == np.float32(alone.field.starts[0, 0])
 
 
-def test_given_field_of_a_samplers_world_is_saved_and_loaded() -> None:
+def test_given_field_of_a_samplers_world_is_saved_and_loaded():
     field = load_field("field_09")
     turned = Field(field.vertices[::-1] + 1e-5, field.rois, field.starts, name="turned")
     engine = BatchEngine(FieldSampler(robots=(2, 3), rois=6, seed=1), 2, seed=1, autoreset=False)
@@ -251,7 +251,7 @@ def test_given_field_of_a_samplers_world_is_saved_and_loaded() -> None:
         BatchEngine(FieldSampler(robots=(2, 3), rois=6, seed=2), 2).load_state(engine.save_state())
 
 
-def test_state_is_loaded_into_tables_of_another_size() -> None:
+def test_state_is_loaded_into_tables_of_another_size():
     sampler = FieldSampler(robots=(2, 3), rois=6, seed=1)
     small, large = (BatchEngine(sampler, 2, seed=1, **STORM) for _ in range(2))
     jagged = [(100 + 3 * k, 100 + 5 * (k % 2)) for k in range(100)]

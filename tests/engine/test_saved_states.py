@@ -70,7 +70,7 @@ def put(where: Any, value: Any) -> Callable[[NDArray[Any]], None]:
         ("storm", "now.status", put((0, 0), 3), r"now.status\[0, 0\] \(world 0\): 3; .*0 to 2"),
     ],
 )
-def test_values_out_of_range_are_named(name: str, array: str, edit: Any, place: str) -> None:
+def test_values_out_of_range_are_named(name, array, edit, place):
     engine = make(name)
     saved, kept = engine.save_state(), engine.save_state()
     if array in ("now.steps", "memory.words"):
@@ -86,7 +86,7 @@ def test_values_out_of_range_are_named(name: str, array: str, edit: Any, place: 
 
 
 @pytest.mark.parametrize("value", [None, [1.0] * 15, 3, np.zeros(15), np.ma.masked_all((3, 5))])
-def test_wrong_arrays_are_refused(value: Any) -> None:
+def test_wrong_arrays_are_refused(value):
     engine = make("default")
     for saved in (value, {}, {**engine.save_state(), "now.x": value}):
         with pytest.raises(MbnError, match="worlds"):
@@ -148,7 +148,7 @@ def step(engine: BatchEngine) -> None:
 
 @pytest.mark.all
 @pytest.mark.parametrize("name", CONFIGURATIONS)
-def test_edited_states_are_refused_or_run(name: str) -> None:
+def test_edited_states_are_refused_or_run(name):
     child = multiprocessing.get_context("spawn").Process(target=fuzz, args=(name, EDITS[name]))
     child.start()
     child.join(600)

@@ -6,7 +6,7 @@ from mbn_marl import BatchEngine
 WORLDS = 1024
 
 
-def test_engine_is_far_faster_than_the_plain_loop() -> None:
+def test_engine_is_far_faster_than_the_plain_loop():
     """By a hundred times an env-step, on one thread; the benchmark measures by how much."""
     engine = engine_case("engine", BatchEngine("field_01", WORLDS, threads=1), warm_up=50)
     loop = plain_case()

@@ -98,9 +98,7 @@ DRIVES = [drive_parallel, drive_aec, drive_gymnasium, drive_batch, drive_torchrl
 
 
 @pytest.mark.parametrize("record", DRIVES)
-def test_every_form_of_the_environment_can_be_recorded(
-    record: Callable[[], Any], tmp_path: Path
-) -> None:
+def test_every_form_of_the_environment_can_be_recorded(record, tmp_path):
     (episode,) = record().episodes
     assert (episode.steps, episode.seed, episode.source) == (20, 5, "test")
     assert episode.field == load_field("field_03")
@@ -115,7 +113,7 @@ def test_every_form_of_the_environment_can_be_recorded(
 
 
 @pytest.mark.parametrize("autoreset", ["same_step", "next_step", "disabled"])
-def test_episode_after_episode(autoreset: Any) -> None:
+def test_episode_after_episode(autoreset):
     settings: dict[str, Any] = {"max_steps": 12, "random_starts": True, "safety_distance": 3.0}
     engine = BatchEngine("field_03", 3, autoreset=autoreset, **settings)
     returns, total = [], 0.0
@@ -138,7 +136,7 @@ def test_episode_after_episode(autoreset: Any) -> None:
         check_episode(one)
 
 
-def test_what_is_recorded_is_what_happened() -> None:
+def test_what_is_recorded_is_what_happened():
     """Two robots go for an ROI each, worked out by hand; the third stays."""
     field = Field(
         [(0, 0), (100, 0), (100, 100), (0, 100)],
@@ -158,7 +156,7 @@ def test_what_is_recorded_is_what_happened() -> None:
         play(field, make_config({}), push)
 
 
-def test_episode_says_how_it_ended() -> None:
+def test_episode_says_how_it_ended():
     """Two robots 10.9 apart: towards each other they are 9.9 apart after a step, less than C."""
     field = Field([(0, 0), (99, 0), (99, 99), (0, 99)], [(50, 80)], [(40, 20), (50.9, 20)])
     actions = np.zeros((1, 2, 2))
@@ -170,7 +168,7 @@ def test_episode_says_how_it_ended() -> None:
     assert play(field, make_config({"max_steps": 1}), actions[:0]).outcome == "unfinished"
 
 
-def test_actions_that_cannot_be_played_are_named() -> None:
+def test_actions_that_cannot_be_played_are_named():
     still = [(0.0, 0.0)] * 3
     for actions, place in (
         ([still, [(0.0, 0.0), (np.inf, 0.0), (0.0, 0.0)]], r"step 2: actions\[0, 1\] "),
@@ -181,7 +179,7 @@ def test_actions_that_cannot_be_played_are_named() -> None:
             play(load_field("field_03"), make_config({}), actions)
 
 
-def test_recording_begins_with_a_reset_and_ends_with_the_block() -> None:
+def test_recording_begins_with_a_reset_and_ends_with_the_block():
     world = centralized_env("field_03")
     world.reset(seed=0)
     world.step(np.zeros((3, 2)))
@@ -199,7 +197,7 @@ def test_recording_begins_with_a_reset_and_ends_with_the_block() -> None:
         EpisodeRecorder(BatchEngine("field_03", 4), world=4)
 
 
-def test_starts_that_do_not_fit_are_listed() -> None:
+def test_starts_that_do_not_fit_are_listed():
     for settings, place in (
         ({"starts": np.zeros((2, 2))}, "starts: "),
         ({"starts": np.full((3, 2), 5.0)}, r"starts\[0\]: "),
@@ -221,7 +219,7 @@ def document(tmp_path: Path) -> dict[str, Any]:
     return content
 
 
-def test_file_is_small_and_can_be_read_without_this_package(document: dict[str, Any]) -> None:
+def test_file_is_small_and_can_be_read_without_this_package(document):
     packed = document["positions"]
     assert packed["dtype"] == "float32" and packed["shape"] == [13, 3, 2]
     positions = np.frombuffer(base64.b64decode(packed["data"]), "<f4").reshape(13, 3, 2)
@@ -232,7 +230,7 @@ def test_file_is_small_and_can_be_read_without_this_package(document: dict[str, 
     assert document["wind"] == [0.0, 0.0] and "wind" not in document["config"]
 
 
-def test_wrong_content_is_named(document: dict[str, Any], tmp_path: Path) -> None:
+def test_wrong_content_is_named(document, tmp_path):
     path = tmp_path / "bad.json"
     for text in ('{"format": "mbn-ep', "[" * 100_000, "\udc80", '{"a": 1}'):
         path.write_text(text, "utf-8", "surrogateescape")
@@ -261,9 +259,7 @@ def test_wrong_content_is_named(document: dict[str, Any], tmp_path: Path) -> Non
         assert str(path) in str(caught.value) and place in str(caught.value), keys
 
 
-def test_file_from_before_a_term_and_a_setting_is_read(
-    document: dict[str, Any], tmp_path: Path
-) -> None:
+def test_file_from_before_a_term_and_a_setting_is_read(document, tmp_path):
     """It names the terms that it has, here in another order and without what was always 0."""
     whole = load_episode(tmp_path / "whole.json")
     with pytest.raises(MbnError, match="json"):
@@ -292,7 +288,7 @@ PARTS = ("positions", "visits", "terms", "winds", "headings", "failed")
 
 
 @pytest.mark.slow
-def test_what_befalls_robots_is_recorded_kept_and_replayed(tmp_path: Path) -> None:
+def test_what_befalls_robots_is_recorded_kept_and_replayed(tmp_path):
     engine = BatchEngine("field_03", 3, seed=5, first_world=7, **ALL)
     with EpisodeRecorder(engine, world=1) as recorder:
         engine.reset()

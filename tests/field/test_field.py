@@ -17,7 +17,7 @@ from mbn_marl.field import Field
 from tests.support.field_cases import HOLE, SQUARE, circle, places_of, square
 
 
-def test_arrays_edges_and_defaults() -> None:
+def test_arrays_edges_and_defaults():
     field = square()
     np.testing.assert_array_equal(field.vertices, SQUARE)
     np.testing.assert_array_equal(field.holes[0], HOLE)
@@ -29,7 +29,7 @@ def test_arrays_edges_and_defaults() -> None:
     assert square(vertices=np.array(SQUARE, np.float32), rois=np.array([[90, 90]])) == square()
 
 
-def test_values_are_equal_and_immutable() -> None:
+def test_values_are_equal_and_immutable():
     assert square() == square()
     assert hash(square()) == hash(square())
     assert square(starts=[(-0.0, 0.0)]) == square(starts=[(0.0, 0.0)])
@@ -94,7 +94,7 @@ INVALID: dict[tuple[str, str], list[Any]] = {
 
 
 @pytest.mark.parametrize(("place", "other"), INVALID)
-def test_problems_name_the_place(place: str, other: str) -> None:
+def test_problems_name_the_place(place, other):
     name = re.split(r"[.\[]", place)[0]
     without: dict[str, Any] = {"holes": ()} if name in ("vertices", "starts") else {}
     if name.endswith("kinds"):
@@ -107,7 +107,7 @@ def test_problems_name_the_place(place: str, other: str) -> None:
         assert problem.startswith(f"{place}: ") and other in problem, value
 
 
-def test_problems_of_several_arguments() -> None:
+def test_problems_of_several_arguments():
     few = {"starts": [(30, 30)], "rois": [(20, 50)]}
     assert places_of(lambda: square(vertices=circle(497), **few)) == ["holes"]
     assert len(square(vertices=circle(496), **few).edges) == 500
@@ -128,7 +128,7 @@ def test_problems_of_several_arguments() -> None:
     ]
 
 
-def test_points_that_rounding_puts_outside_are_on_the_border() -> None:
+def test_points_that_rounding_puts_outside_are_on_the_border():
     slanted = [(10.1, 20.3), (333.3, 47.9), (280.7, 310.1)]
     hole = [(250, 100), (270, 99), (260, 80.3)]
     for border in (shapely.LinearRing(slanted), shapely.LinearRing(hole)):
@@ -140,7 +140,7 @@ def test_points_that_rounding_puts_outside_are_on_the_border() -> None:
             Field(slanted, [away], [(200, 100)], [hole])
 
 
-def test_environments_check_starts_and_scale() -> None:
+def test_environments_check_starts_and_scale():
     near = square(starts=[(10, 10), (16, 18 - 1e-9)])  # 6-8-10, but for 1e-9
     with pytest.raises(ConfigError, match=r"safety_distance: 10.*starts 0 and 1"):
         parallel_env(near)

@@ -36,7 +36,7 @@ def places_in(folder: Path, text: str, name: str = "user.yaml") -> list[str]:
     return places_of(lambda: load_field(write(folder, text, name)))
 
 
-def test_catalogue_is_the_files_on_disk() -> None:
+def test_catalogue_is_the_files_on_disk():
     entries = [one for one in files("envs_catalog").iterdir() if one.name.endswith(".yaml")]
     on_disk = sorted(Path(entry.name).stem for entry in entries)
     assert catalogue_names() == on_disk == [f"field_{k:02d}" for k in range(1, 11)]
@@ -51,20 +51,20 @@ def test_catalogue_is_the_files_on_disk() -> None:
         assert isinstance(sampler, FieldSampler) and sampler.field().rois.shape[1] == 2
 
 
-def test_committed_schema_is_the_models() -> None:
+def test_committed_schema_is_the_models():
     text = files("envs_catalog").joinpath("field.schema.json").read_text(encoding="utf-8")
     assert json.loads(text) == (schema := json_schema())
     assert schema["required"] == ["format", "vertices", "rois", "starts"]
 
 
-def test_unknown_name_suggests_and_lists() -> None:
+def test_unknown_name_suggests_and_lists():
     with pytest.raises(FieldError, match="field_3") as caught:
         load_field("field_3")
     assert all(known in str(caught.value) for known in catalogue_names())
     assert str(caught.value).count("field_03") == 2
 
 
-def test_samplers_are_files_too(tmp_path: Path) -> None:
+def test_samplers_are_files_too(tmp_path):
     sampler = FieldSampler(("farm", "convex"), (2, 5), 4, (200, 300), weights=(1, 3), seed=9)
     save_field(sampler, tmp_path / "copy.yaml")
     assert load_fields(tmp_path / "copy.yaml") == sampler
@@ -105,7 +105,7 @@ class TestFiles:
             Field(circle(500), [(x / 1.5 + 10, y / 1.5 + 10) for x, y in circle(24)], [(50, 50)]),
         ],
     )
-    def test_round_trip(self, tmp_path: Path, field: Field) -> None:
+    def test_round_trip(self, tmp_path, field):
         save_field(field, tmp_path / "custom.yaml")
         assert load_field(str(tmp_path / "custom.yaml")) == field
         document = {"format": FORMAT, **field.to_dict()}
@@ -114,20 +114,18 @@ class TestFiles:
         assert loaded.to_dict() == {**field.to_dict(), "optimal_makespan": None}
         assert load_field(field) is field
 
-    def test_names_that_could_be_numbers(self, tmp_path: Path) -> None:
+    def test_names_that_could_be_numbers(self, tmp_path):
         for name in ("1e5", "7e2", "1e-7", "12", "0x1f", "yes", "null"):
             save_field(square(name=name), tmp_path / "field.yaml")
             assert load_field(tmp_path / "field.yaml") == square(name=name)
 
-    def test_optional_keys(self, tmp_path: Path) -> None:
+    def test_optional_keys(self, tmp_path):
         plain = load_field(write(tmp_path, VALID_FILE, "my field.yaml"))
         assert plain.name == "my_field"
         text = VALID_FILE + "holes:\narena:\noptimal_makespan:\n"
         assert load_field(write(tmp_path, text, "my field.yaml")) == plain
 
-    def test_a_failed_save_leaves_the_old_file(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_failed_save_leaves_the_old_file(self, tmp_path, monkeypatch):
         path = tmp_path / "field.yaml"
         save_field(square(name="newer"), path)
 
@@ -140,7 +138,7 @@ class TestFiles:
         assert load_field(path) == square(name="newer")
         assert list(tmp_path.iterdir()) == [path]
 
-    def test_structure_and_geometry_are_reported_together(self, tmp_path: Path) -> None:
+    def test_structure_and_geometry_are_reported_together(self, tmp_path):
         places = places_in(
             tmp_path,
             "format: mbn-field/9\ncolour: red\nvertices: [[0, 0], [100, 0], [100, 100], [0, x]]\n"
@@ -169,10 +167,10 @@ class TestFiles:
             (f"{VALID_FILE}name: !!python/object/apply:os.system [pwd]\n", "line 5, column 7"),
         ],
     )
-    def test_unreadable_text(self, tmp_path: Path, text: str, place: str) -> None:
+    def test_unreadable_text(self, tmp_path, text, place):
         assert places_in(tmp_path, text) == [place]
 
-    def test_unreadable_sources(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_unreadable_sources(self, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
         (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\xfa")
         paths = ["missing.yaml", "no/such/file", "", ".", "\x00", "a" * 5000, "\ud800", "x#y"]
@@ -183,7 +181,7 @@ class TestFiles:
         with pytest.raises(FieldError, match="source: "):
             load_field({"vertices": []})
 
-    def test_no_hang(self, tmp_path: Path) -> None:
+    def test_no_hang(self, tmp_path):
         aliases = ["a0: &a0 [1, 1]"]
         aliases += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 30)]
         for text in (
@@ -201,9 +199,7 @@ class TestFiles:
     @given(content=CONTENTS)
     @example(content=b"!!binary x")
     @example(content=b"a: 1" + b":59" * 60)
-    def test_any_content_is_a_field_or_a_field_error(
-        self, tmp_path_factory: pytest.TempPathFactory, content: bytes
-    ) -> None:
+    def test_any_content_is_a_field_or_a_field_error(self, tmp_path_factory, content):
         path = tmp_path_factory.getbasetemp() / "fuzz.yaml"
         path.write_bytes(content)
         try:
@@ -231,13 +227,13 @@ SETS = """\
 
 
 class TestAuthorsSets:
-    def test_a_set_is_read_in_arena_units(self, tmp_path: Path) -> None:
+    def test_a_set_is_read_in_arena_units(self, tmp_path):
         outline, rois = [(45, 20), (300, 20), (300, 402.5)], [(280, 200), (200, 100)]
         own = Field(outline, rois, [(250, 150)], arena=(500, 500), name="set_1")
         assert "!!python/tuple" in TAGGED
         assert load_field(write(tmp_path, TAGGED, "set#1.yaml")) == own
 
-    def test_one_of_several_sets(self, tmp_path: Path) -> None:
+    def test_one_of_several_sets(self, tmp_path):
         path = write(tmp_path, SETS, "sets.json")
         first, second = load_field(f"{path}#set1"), load_field(f"{path}#set2")
         assert (first.name, first.arena) == ("set1", (1000, 1000))
@@ -247,7 +243,7 @@ class TestAuthorsSets:
             with pytest.raises(FieldError, match="set1, set2"):
                 load_field(source)
 
-    def test_problems_use_the_words_of_the_file(self, tmp_path: Path) -> None:
+    def test_problems_use_the_words_of_the_file(self, tmp_path):
         text = (
             "grid_size: 50\ncolour: red\nfield: [[0, 0], [40, 0], [40, 60], [0, 0]]\n"
             "init_positions: [[30, 10], [30, 10], [x, 1]]\n"

@@ -42,7 +42,7 @@ def read(folder: Path, *features: dict[str, Any], pick: str = "", **options: Any
     return field, "\n".join(notes)
 
 
-def test_metres_are_moved_to_the_origin(tmp_path: Path) -> None:
+def test_metres_are_moved_to_the_origin(tmp_path):
     x, y = 412_300.25, 5_200_700.5
     moved = [point(x + 50, y + 50, kind="roi"), point(x + 30, y + 200, kind="start")]
     field, notes = read(tmp_path, polygon(ring(FARM, x, y), ring(POND, x, y)), *moved)
@@ -52,7 +52,7 @@ def test_metres_are_moved_to_the_origin(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("west", "south"), [(6.5, 51.9), (-58.0, -34.0), (179.999, -17.0)])
-def test_degrees_become_metres(tmp_path: Path, west: float, south: float) -> None:
+def test_degrees_become_metres(tmp_path, west, south):
     across = METRE / np.cos(np.radians(south))
     corners = [[(west + x * across + 180) % 360 - 180, south + y * METRE] for x, y in FARM]
     field, notes = read(tmp_path, polygon([*corners, corners[0]]))
@@ -75,7 +75,7 @@ WKT = "POLYGON ((0 0, 400 0, 400 300, 0 300, 0 0), (180 140, 180 180, 220 180, 2
         (f"{WKT.replace(', 0 0)', ')')}\nMULTIPOINT (50 50, 350 250, 60 70)", 3),
     ],
 )
-def test_wkt(tmp_path: Path, text: str, rois: int) -> None:
+def test_wkt(tmp_path, text, rois):
     path = write(tmp_path, text, "farm.wkt")
     field, _ = load_map(path, robots=4, rois=8)
     np.testing.assert_array_equal(field.vertices, FARM)
@@ -95,14 +95,14 @@ def test_wkt(tmp_path: Path, text: str, rois: int) -> None:
         ([polygon(ring(FARM)), point(50, 50, kind="tree")], "tree: left out"),
     ],
 )
-def test_what_is_mended_is_said(tmp_path: Path, features: Any, note: str) -> None:
+def test_what_is_mended_is_said(tmp_path, features, note):
     field, notes = read(tmp_path, *features)
     assert note in notes
     assert field.polygon.area == pytest.approx(120_000, abs=1)
     assert load_map(tmp_path / "my farm.geojson")[0] == field
 
 
-def test_many_corners_are_simplified(tmp_path: Path) -> None:
+def test_many_corners_are_simplified(tmp_path):
     angles = np.linspace(0, 2 * np.pi, 3000, endpoint=False)
     circle = (200 + 200 * np.stack([np.cos(angles), np.sin(angles)], 1)).tolist()
     field, notes = read(tmp_path, polygon([*circle, circle[0]]))
@@ -111,7 +111,7 @@ def test_many_corners_are_simplified(tmp_path: Path) -> None:
     assert field.polygon.area == pytest.approx(np.pi * 200**2, rel=0.01)
 
 
-def test_polygons_are_picked_and_holes_are_cut_out(tmp_path: Path) -> None:
+def test_polygons_are_picked_and_holes_are_cut_out(tmp_path):
     pond = polygon(ring(POND), kind="hole")
     lake = polygon(ring(POND, 200, 0), kind="Hole")
     farms = [polygon(ring(FARM), Name="A"), polygon(ring(FARM, 450), name="B"), pond, lake, *POINTS]
@@ -136,27 +136,27 @@ def test_polygons_are_picked_and_holes_are_cut_out(tmp_path: Path) -> None:
         ([[1]], "features[0]"),
     ],
 )
-def test_bad_maps(tmp_path: Path, features: Any, place: str) -> None:
+def test_bad_maps(tmp_path, features, place):
     assert places_of(lambda: read(tmp_path, *features)) == [place]
 
 
-def test_every_problem_is_listed(tmp_path: Path) -> None:
+def test_every_problem_is_listed(tmp_path):
     line, wrong = {"type": "LineString", "coordinates": [[0, 0], [1, 1]]}, {"type": "Nope"}
     found = places_of(lambda: read(tmp_path, polygon(ring(FARM)), line, wrong))
     assert found == ["features[1]", "features[2]"]
     for metres in (-1, "1"):
         with pytest.raises(ConfigError) as caught:
-            load_map(tmp_path / "my farm.geojson", robots=0, metres_per_unit=metres)  # type: ignore[arg-type]
+            load_map(tmp_path / "my farm.geojson", robots=0, metres_per_unit=metres)
         assert [one.split(":")[0] for one in caught.value.problems] == ["robots", "metres_per_unit"]
 
 
-def test_other_files_are_refused(tmp_path: Path) -> None:
+def test_other_files_are_refused(tmp_path):
     for text in ("", '{"a": 1}', "CIRCLE (1 2)", "[" * 10_000):
         with pytest.raises(FieldError):
             load_map(write(tmp_path, text, "some.json"))
 
 
-def test_placed_points_have_room_and_a_seed(tmp_path: Path) -> None:
+def test_placed_points_have_room_and_a_seed(tmp_path):
     farm = polygon(ring(FARM), ring(POND))
     one, other = (read(tmp_path, farm, robots=64, rois=24, seed=3)[0] for _ in range(2))
     gaps = np.linalg.norm(one.starts[:, None] - one.starts, axis=2) + 1e9 * np.eye(64)
@@ -165,7 +165,7 @@ def test_placed_points_have_room_and_a_seed(tmp_path: Path) -> None:
     assert places_of(lambda: read(tmp_path, thin, rois=24, robots=64)) == ["outline"]
 
 
-def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command(tmp_path, capsys):
     read(tmp_path, polygon(ring(FARM)), *POINTS)
     words = ["fields", "--from", str(tmp_path / "my farm.geojson")]
     out = tmp_path / "new" / "farm.yaml"

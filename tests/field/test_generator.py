@@ -54,7 +54,7 @@ PINNED = {  # hashes of the fields of seed 7
 }
 
 
-def test_fields_are_the_same_everywhere() -> None:
+def test_fields_are_the_same_everywhere():
     assert {family: millis(generate(family, 7)) for family in FAMILIES} == PINNED
     sampler = sampler_of(*FAMILIES, seed=3)
     field = sampler.field(4, 5)
@@ -68,7 +68,7 @@ def test_fields_are_the_same_everywhere() -> None:
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_tables_are_those_of_make_geometry(dtype: Any) -> None:
+def test_tables_are_those_of_make_geometry(dtype):
     sampler = sampler_of(*FAMILIES, rois=(1, 10), seed=1)
     tables = made(sampler, 60, dtype=dtype)
     rois = [(45.0 + k, 60.0) for k in range(sampler.rois[1])]
@@ -88,7 +88,7 @@ def test_tables_are_those_of_make_geometry(dtype: Any) -> None:
         assert tables.robots_in[world] == n
 
 
-def test_without_room_it_is_a_square() -> None:
+def test_without_room_it_is_a_square():
     sampler = FieldSampler(("corridors",), robots=9, rois=16, size=200)
     numbers = sampler.numbers()
     numbers[2:4] = 61_000
@@ -129,7 +129,7 @@ def broken_promises(field: Field, sampler: FieldSampler) -> list[str]:
     return [name for name, kept in promises.items() if not kept]
 
 
-def test_both_ends_of_a_range_are_named() -> None:
+def test_both_ends_of_a_range_are_named():
     with pytest.raises(ConfigError, match=r"robots: .*equal to 1.*equal to 64"):
         FieldSampler(robots=(0, 99))
 
@@ -143,14 +143,14 @@ def test_both_ends_of_a_range_are_named() -> None:
         {"robots": 2, "rois": 24, "size": (300, 100_000), "arena": (1e6, 1e5)},
     ],
 )
-def test_sound(family: str, changes: Any) -> None:
+def test_sound(family, changes):
     sampler = sampler_of(family, **{"rois": (1, 10), **changes})
     for world in range(150):
         field = sampler.field(world)
         assert broken_promises(field, sampler) == [], field.name
 
 
-def test_weights() -> None:
+def test_weights():
     for weights, shares in (((2, 0, 6), (0.25, 0, 0.75)), (None, (1 / 3, 1 / 3, 1 / 3))):
         sampler = FieldSampler(FAMILIES[:3], weights=weights)
         names = [sampler.field(world).name.split("-")[0] for world in range(300)]
@@ -158,7 +158,7 @@ def test_weights() -> None:
         assert found == pytest.approx(shares, abs=0.08)
 
 
-def test_a_sampler_is_a_value() -> None:
+def test_a_sampler_is_a_value():
     sampler = FieldSampler(["farm", "convex"], robots=(2, 4), weights=[1, 2], seed=5)
     assert sampler == FieldSampler(("farm", "convex"), (2, 4), weights=(1.0, 2.0), seed=5)
     assert sampler == pickle.loads(pickle.dumps(sampler)) != FieldSampler()
@@ -187,7 +187,7 @@ def test_a_sampler_is_a_value() -> None:
         ({"size": 500, "arena": (900, 400)}, "size"),
     ],
 )
-def test_all_problems_at_once(given: dict[str, Any], places: str) -> None:
+def test_all_problems_at_once(given, places):
     with pytest.raises(ConfigError) as caught:
         FieldSampler(**given)
     assert [problem.split(":")[0] for problem in caught.value.problems] == places.split()
@@ -202,14 +202,14 @@ def test_all_problems_at_once(given: dict[str, Any], places: str) -> None:
         ({"arena": (100, 500)}, (100, 100)),
     ],
 )
-def test_default_size_fits_team_and_arena(given: dict[str, Any], size: Any) -> None:
+def test_default_size_fits_team_and_arena(given, size):
     sampler = FieldSampler(FAMILIES, **given)
     assert sampler.size == size
     assert len(sampler.field().starts) <= sampler.robots[1]
     assert size[0] >= least_size(sampler.robots[1], sampler.rois[1])
 
 
-def test_roots_are_one_more_than_their_whole_part() -> None:
+def test_roots_are_one_more_than_their_whole_part():
     for whole in (0, 1, 2, 3, 94_906_265, 94_906_267, 2**30 + 1, 2**31 - 1):
         square = whole * whole
         for number in {square, square + 1, square + 2 * whole}:  # up to the next square

@@ -35,7 +35,7 @@ INSTALLED = Path(str(FOLDER))
 FILES = [(split, tier) for split in get_args(Split) for tier in NAMES]
 
 
-def test_instances_are_fields_with_what_is_known_of_them(tmp_path: Path) -> None:
+def test_instances_are_fields_with_what_is_known_of_them(tmp_path):
     write_split(tmp_path, "2-sizes")
     read = load_split("test", "2-sizes", tmp_path)
     sampler = FieldSampler(("convex",), [2, 7], [3, 10], [150, 420], seed=3_000_001)
@@ -46,7 +46,7 @@ def test_instances_are_fields_with_what_is_known_of_them(tmp_path: Path) -> None
     assert {one.condition for one in read} == {"calm"}
 
 
-def test_a_searched_field_is_there_at_each_radius_with_its_empty_rois(tmp_path: Path) -> None:
+def test_a_searched_field_is_there_at_each_radius_with_its_empty_rois(tmp_path):
     write_split(tmp_path, SEARCH, 2)
     read = load_split("test", SEARCH, tmp_path)
     assert [one.radius for one in read] == [*RADII] * 2
@@ -58,7 +58,7 @@ def test_a_searched_field_is_there_at_each_radius_with_its_empty_rois(tmp_path: 
     assert config.empty_rois == tuple(range(12))
 
 
-def test_searched_fields_with_their_empty_rois_last_are_the_same_fields() -> None:
+def test_searched_fields_with_their_empty_rois_last_are_the_same_fields():
     frozen = [one for one in load_split("validation", SEARCH) if one.radius == "100"]
     moved = search_side_by_side("validation", 100.0)
     assert [one.field.name for one in moved] == [one.field.name for one in frozen]
@@ -75,7 +75,7 @@ def test_searched_fields_with_their_empty_rois_last_are_the_same_fields() -> Non
         assert (one.field.starts == other.field.starts).all()
 
 
-def test_passages_have_two_kinds_and_what_the_tier_fixes(tmp_path: Path) -> None:
+def test_passages_have_two_kinds_and_what_the_tier_fixes(tmp_path):
     write_split(tmp_path, PASSAGES, 5)
     for one in load_split("test", PASSAGES, tmp_path):
         field, config = one.field, make_config({"observation": "entities", **one.settings})
@@ -93,7 +93,7 @@ def test_passages_have_two_kinds_and_what_the_tier_fixes(tmp_path: Path) -> None
         assert geometry_hash(Field(**changed)) != geometry_hash(field)
 
 
-def test_a_field_that_is_another_is_an_error_that_names_it(tmp_path: Path) -> None:
+def test_a_field_that_is_another_is_an_error_that_names_it(tmp_path):
     path = write_split(tmp_path, "1-convex")
     record = read_json(path)
     first, second, _ = record["instances"]
@@ -106,7 +106,7 @@ def test_a_field_that_is_another_is_an_error_that_names_it(tmp_path: Path) -> No
     assert places == ["instances.1.candidate"]
 
 
-def test_an_instance_that_cannot_be_is_named(tmp_path: Path) -> None:
+def test_an_instance_that_cannot_be_is_named(tmp_path):
     write_splits(tmp_path, 2)
     for tier, changed, place in (
         ("1-convex", {"candidate": 2**70}, "candidate"),
@@ -127,7 +127,7 @@ def test_an_instance_that_cannot_be_is_named(tmp_path: Path) -> None:
         assert places == [f"instances.1.{place}"], changed
 
 
-def test_a_file_that_is_not_valid_says_why(tmp_path: Path) -> None:
+def test_a_file_that_is_not_valid_says_why(tmp_path):
     known = '"split": "test", "tier": "1-convex"'
     for text, place in (
         ("{", "file: "),
@@ -139,7 +139,7 @@ def test_a_file_that_is_not_valid_says_why(tmp_path: Path) -> None:
             load_split("test", "1-convex", tmp_path)
 
 
-def test_what_there_is_not_is_an_error(tmp_path: Path) -> None:
+def test_what_there_is_not_is_an_error(tmp_path):
     with pytest.raises(FieldError, match=r"split: (.|\n)*tier: "):
         load_split("tset", "convex")
     with pytest.raises(FieldError):
@@ -150,7 +150,7 @@ def test_what_there_is_not_is_an_error(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("split", "tier"), FILES, ids=map("-".join, FILES))
-def test_the_installed_splits_are_proved(split: Split, tier: str) -> None:
+def test_the_installed_splits_are_proved(split, tier):
     """Of the two whose proofs took least, plan and bound are computed again."""
     assert len(load_split(split, tier)) == (300 if tier == SEARCH else 100)
     path = INSTALLED / f"{split}-{tier}.json"
@@ -165,7 +165,7 @@ def test_the_installed_splits_are_proved(split: Split, tier: str) -> None:
         assert [*instance_problems(sampler, one, actions, 60.0)] == []
 
 
-def test_the_names_of_tiers_are_those_of_the_page() -> None:
+def test_the_names_of_tiers_are_those_of_the_page():
     page = (Path(__file__).parents[2] / "docs" / "fields.md").read_text(encoding="utf-8")
     section = page.split("### Frozen fields")[1]
     found = tuple(re.findall(r"(?m)^\| `([\w-]+)` \|", section))

@@ -31,7 +31,7 @@ LATER = 1e12  # a deadline that never comes
         *((10, 1, None, (3.0, -4.0)), (11, 1, None, (-2.0, 1.5))),
     ],
 )
-def test_the_bound_agrees_with_brute_force(seed: int, n: int, wind: Any, velocity: Any) -> None:
+def test_the_bound_agrees_with_brute_force(seed, n, wind, velocity):
     """The bound lies between the answers for slightly larger and slightly smaller discs."""
     kinds = {"roi_kinds": (0, 1), "start_kinds": (0, 1)} if seed in (2, 4) else {}
     field, config = small_field(seed, n=n, **kinds), make_config({"wind": wind} if wind else {})
@@ -41,7 +41,7 @@ def test_the_bound_agrees_with_brute_force(seed: int, n: int, wind: Any, velocit
     assert bound == least or least < bound <= brute_force(field, 10.0, **how)
 
 
-def test_legs_by_hand() -> None:
+def test_legs_by_hand():
     # From rest an axis moves 0.5, 1.5, 3, 5, 7.5, ...; discs of 10 are reached 10 units early.
     offsets = [(17.4, 0.0), (17.6, 0.0), (0.0, 9.0), (6.0 + 3.0, 8.0 + 3.0), (9.1, 11.1)]
     rois = [(150.0 + x, 150.0 + y) for x, y in offsets]
@@ -61,9 +61,7 @@ def test_legs_by_hand() -> None:
 
 @pytest.mark.parametrize("few", [partition.FEW_ROIS, 0])  # both searches
 @pytest.mark.parametrize("seed", range(3))
-def test_partitions_against_enumeration(
-    seed: int, few: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_partitions_against_enumeration(seed, few, monkeypatch):
     monkeypatch.setattr(partition, "FEW_ROIS", few)
     rng = np.random.default_rng(seed)
     masks = np.arange(32)
@@ -90,7 +88,7 @@ def test_partitions_against_enumeration(
         assert sum(costs[i, mask] for i, mask in enumerate(chosen)) == min(totals)
 
 
-def test_a_search_that_is_cut_short_proves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_that_is_cut_short_proves_nothing(monkeypatch):
     monkeypatch.setattr(partition, "FEW_ROIS", 0)
     monkeypatch.setattr(partition, "MOST_NODES", 0)
     costs = np.array([[0, 3, 4, 9], [0, 5, 6, 9]])
@@ -109,7 +107,7 @@ def straight(first: int, last: int) -> tuple[Relaxation, StepWindows]:
     return relaxation, StepWindows((first,), (last,), (first,), (last,))
 
 
-def test_the_relaxation_is_exact_at_fixed_times() -> None:
+def test_the_relaxation_is_exact_at_fixed_times():
     for steps, inflation in ((4, 2.5), (5, 0.0), (6, -1.0)):
         relaxation, _ = straight(steps, steps)
         windows, tangents = fixed_windows([steps]), relaxation.tangents()
@@ -119,7 +117,7 @@ def test_the_relaxation_is_exact_at_fixed_times() -> None:
         assert solved.bound <= solved.inflation + 1e-9, steps
 
 
-def test_a_program_that_cannot_be_met_has_an_infinite_bound() -> None:
+def test_a_program_that_cannot_be_met_has_an_infinite_bound():
     relaxation, windows = straight(4, 4)
     east = Region(np.array([[-1.0, 0.0]]), np.array([-9.0]), (9.0, -50.0), (50.0, 50.0))
     far = relaxation.with_via(0, east)  # 9 units away after a step
@@ -130,7 +128,7 @@ def test_a_program_that_cannot_be_met_has_an_infinite_bound() -> None:
     assert relaxation.solve(highs, windows, relaxation.tangents(), 100.0).bound <= 2.5 + 1e-9
 
 
-def test_bounds_hold_where_rounding_of_a_strong_wind_moves_robots() -> None:
+def test_bounds_hold_where_rounding_of_a_strong_wind_moves_robots():
     # Force and wind all but cancel, and what is left of their float32 values is a little more.
     settings: dict[str, Any] = {"f_max": 1000.2, "wind": (1000.05, 0.0)}
     lane = [(100.0, 100.0), (900.0, 100.0), (900.0, 300.0), (100.0, 300.0)]
@@ -144,7 +142,7 @@ def test_bounds_hold_where_rounding_of_a_strong_wind_moves_robots() -> None:
     assert prove(make_problem(field, make_config(settings)), LATER).bound <= 30
 
 
-def test_long_episodes_do_not_weaken_the_bound() -> None:
+def test_long_episodes_do_not_weaken_the_bound():
     # Rounding may do much in 100,000 steps, but little in the 250 that matter here.
     field = Field(SQUARE, [(280, 200)], [(110, 200)])
     settings: dict[str, Any] = {"f_max": 0.005, "max_steps": 100_000}
@@ -152,7 +150,7 @@ def test_long_episodes_do_not_weaken_the_bound() -> None:
     assert prove(make_problem(field, make_config(settings)), LATER).bound == 253
 
 
-def test_the_shape_of_the_field_bounds_the_plan() -> None:
+def test_the_shape_of_the_field_bounds_the_plan():
     # The straight way from (120, 390) to the disc about (350, 380) takes 48 steps; round the wall,
     # less what steps may cut off, it is (236.5 - 3.5) + 93 + 226.5 - 10 units at 5 a step.
     only = Field(U_SHAPE.vertices, [(350, 380)], [(120, 390)])
@@ -161,7 +159,7 @@ def test_the_shape_of_the_field_bounds_the_plan() -> None:
     assert 109 <= prove(make_problem(only, NavigationConfig()), LATER).bound <= 114
 
 
-def test_the_bound_allows_for_steps_across_thin_walls() -> None:
+def test_the_bound_allows_for_steps_across_thin_walls():
     # Only positions after steps have to be in the field: at full force a robot strides across.
     wall = [(140.0, 110.0), (142.0, 110.0), (142.0, 290.0), (140.0, 290.0)]
     field = Field(SQUARE, [(160.0, 200.0)], [(120.0, 200.0)], holes=[wall])
@@ -176,7 +174,7 @@ def test_the_bound_allows_for_steps_across_thin_walls() -> None:
 
 
 @pytest.mark.parametrize(("seed", "more"), [(0, 1), (1, 0), (11, 3), (13, 2)])
-def test_the_bound_goes_round_an_obstacle(seed: int, more: int) -> None:
+def test_the_bound_goes_round_an_obstacle(seed, more):
     # An integer program over the hole's edges gave the same numbers.
     rng = np.random.default_rng(seed)
     start, roi = np.array([150.0, 190.0]), np.array([190.0, 200.0])

@@ -11,7 +11,6 @@ from mbn_marl import BatchEngine, parallel_env
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, catalogue_names, load_field
-from mbn_marl.field.field import Points
 from mbn_marl.optimum import optimal_return
 from mbn_marl.planning import Plan, UnsolvableError, plan
 from mbn_marl.planning.problem import make_problem
@@ -39,7 +38,7 @@ def replayed(found: Plan, dtype: str, **settings: object) -> tuple[bool, int, fl
 @pytest.mark.parametrize(
     ("name", "makespan"), zip(catalogue_names(), OPTIMAL_MAKESPANS, strict=True)
 )
-def test_the_ten_fields_are_proved_optimal(name: str, makespan: int) -> None:
+def test_the_ten_fields_are_proved_optimal(name, makespan):
     found = planned(name)
     assert (found.makespan, found.makespan_lower_bound, found.optimal) == (makespan, makespan, True)
     assert load_field(name).optimal_makespan == makespan
@@ -53,7 +52,7 @@ def test_the_ten_fields_are_proved_optimal(name: str, makespan: int) -> None:
         assert total == pytest.approx(160_000 - 30 * makespan, rel=1e-6)
 
 
-def test_ties_are_polished_to_exact_motions() -> None:
+def test_ties_are_polished_to_exact_motions():
     # The ROI comes within exactly 10 units in the last step, at full force all the way.
     lane = [(0, 0), (900, 0), (900, 300), (0, 300)]
     for reach in (7.5, 7.5 + 10.0, 27.5 + 5.0 * 20):
@@ -64,7 +63,7 @@ def test_ties_are_polished_to_exact_motions() -> None:
     assert (at_once.makespan, at_once.optimal, at_once.return_) == (1, True, 109_990.0)
 
 
-def test_wind_is_part_of_the_plan() -> None:
+def test_wind_is_part_of_the_plan():
     field = Field(SQUARE, [(120, 120), (200, 200)], [(280, 280)])
     calm, against = plan(field), plan(field, wind=(0.4, 30.0))
     assert calm.makespan is not None and against.makespan is not None
@@ -73,7 +72,7 @@ def test_wind_is_part_of_the_plan() -> None:
 
 
 @pytest.mark.parametrize("field", [U_SHAPE, star_field(0), star_field(1)])
-def test_fields_that_are_not_convex_have_verified_plans(field: Field) -> None:
+def test_fields_that_are_not_convex_have_verified_plans(field):
     found = plan(field, work_limit=1000)
     assert found.makespan is not None
     assert found.makespan_lower_bound <= found.makespan
@@ -95,9 +94,7 @@ TWO_ROOMS = [
         ([(20, 20), (20, 40), (20, 60)], [(180, 20), (180, 40), (180, 60)], None, 40),  # a queue
     ],
 )
-def test_robots_wait_for_each_other_at_a_door(
-    starts: Points, rois: Points, kinds: list[int] | None, most: int
-) -> None:
+def test_robots_wait_for_each_other_at_a_door(starts, rois, kinds, most):
     own = {"roi_kinds": kinds, "start_kinds": kinds} if kinds else {}
     field = Field(TWO_ROOMS, rois, starts, **own)
     found = plan(field, work_limit=1000, time_limit=1e-6)
@@ -107,7 +104,7 @@ def test_robots_wait_for_each_other_at_a_door(
     assert np.array_equal(again.actions, found.actions)
 
 
-def test_many_rois_have_a_plan_and_a_bound() -> None:
+def test_many_rois_have_a_plan_and_a_bound():
     rois = np.random.default_rng(0).uniform(110.0, 290.0, (16, 2))
     found = plan(Field(SQUARE, rois, [(120, 120), (280, 280)]), time_limit=10.0)
     assert found.makespan is not None
@@ -115,7 +112,7 @@ def test_many_rois_have_a_plan_and_a_bound() -> None:
     assert sorted(itertools.chain(*found.assignment)) == list(range(16))
 
 
-def test_an_unreachable_roi_is_reported_at_once() -> None:
+def test_an_unreachable_roi_is_reported_at_once():
     near = Field(SQUARE, [(120, 120)], [(280, 280)])
     for field, settings, place in (
         (U_SHAPE, {"max_steps": 90}, r"rois\[0\]"),  # 48 steps away, but for the wall
@@ -126,14 +123,14 @@ def test_an_unreachable_roi_is_reported_at_once() -> None:
             plan(field, **settings)
 
 
-def test_out_of_time_the_interval_is_marked() -> None:
+def test_out_of_time_the_interval_is_marked():
     found = plan("field_06", time_limit=1e-6)
     assert not found.optimal
     assert found.makespan_lower_bound <= 39
     assert found.makespan is None or found.makespan > 39
 
 
-def test_the_time_limit_holds_where_greed_gets_nowhere() -> None:
+def test_the_time_limit_holds_where_greed_gets_nowhere():
     # Blown into a wall for good, the greedy controller continues until the end of the episode.
     found = plan("field_01", wind=(0.55, 0.0), max_steps=4000, time_limit=1.0)
     assert found.makespan is None
@@ -141,7 +138,7 @@ def test_the_time_limit_holds_where_greed_gets_nowhere() -> None:
     assert found.seconds < 8.0
 
 
-def test_plans_do_not_compile_what_robots_would_see() -> None:
+def test_plans_do_not_compile_what_robots_would_see():
     config = make_config({"observation": "lidar", "one_hot": True, "reward_sharing": "team"})
     player = Player(make_problem(load_field("field_03"), config))
     assert player._engine.config.observation == "relative"
@@ -149,7 +146,7 @@ def test_plans_do_not_compile_what_robots_would_see() -> None:
 
 
 @pytest.mark.parametrize(("name", "steps"), [("field_03", 8), ("field_06", 31)])
-def test_the_rest_of_a_shortest_plan_is_a_shortest_plan(name: str, steps: int) -> None:
+def test_the_rest_of_a_shortest_plan_is_a_shortest_plan(name, steps):
     whole = planned(name)
     assert whole.makespan is not None
     engine = BatchEngine(name, 1, autoreset="disabled", threads=1)
@@ -169,7 +166,7 @@ def test_the_rest_of_a_shortest_plan_is_a_shortest_plan(name: str, steps: int) -
     assert ended[0] and engine.snapshot().success
 
 
-def test_bad_input_is_named() -> None:
+def test_bad_input_is_named():
     still = [(0.0, 0.0)]
     for settings, place in (
         ({"time_limit": 0.0}, "time_limit"),
@@ -193,7 +190,7 @@ def test_bad_input_is_named() -> None:
             plan("field_03", **settings)
 
 
-def test_a_start_on_an_roi_keeps_the_bound_below_the_plan() -> None:
+def test_a_start_on_an_roi_keeps_the_bound_below_the_plan():
     hole = [(90, 60), (110, 60), (110, 140), (90, 140)]
     square = [(0, 0), (200, 0), (200, 200), (0, 200)]
     for rois in ([(20, 20), (30, 150)], [(20, 20)]):

@@ -20,7 +20,7 @@ ALL = np.ones(3, bool)
 STILL = np.zeros((3, 2))
 
 
-def test_a_controller_counts_on_the_middle_of_what_is_drawn() -> None:
+def test_a_controller_counts_on_the_middle_of_what_is_drawn():
     drawn = make_config({"mass": Uniform(1.0, 3.0), "tau": Uniform(0.5, 1.5)})
     known = make_config({"mass": 2.0, "tau": 1.0})
     field = load_field("field_03")
@@ -28,7 +28,7 @@ def test_a_controller_counts_on_the_middle_of_what_is_drawn() -> None:
     np.testing.assert_array_equal(forces, make_problem(field, known).forces)
 
 
-def test_weather_by_hand() -> None:
+def test_weather_by_hand():
     problem = make_problem(load_field("field_03"), NavigationConfig())
     before = np.array([[0.0, 0.0], [1.0, -1.0], [4.9, 2.0]])
     actions = np.array([[1.0, 0.0], [0.0, -1.0], [1.0, 0.0]])
@@ -58,7 +58,7 @@ def test_weather_by_hand() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["brake", "coast"])
-def test_the_ways_of_failed_robots_are_foreseen(kind: Any) -> None:
+def test_the_ways_of_failed_robots_are_foreseen(kind):
     settings: dict[str, Any] = {
         "failures": Failures(at={0: 9, 1: 7}, kind=kind),
         "wind": (0.1, 200.0),
@@ -86,7 +86,7 @@ def test_the_ways_of_failed_robots_are_foreseen(kind: Any) -> None:
     assert kind == "coast" or np.array_equal(ways[1][-2], ways[1][-1])
 
 
-def test_a_heavy_robot_that_brakes_is_foreseen_until_it_rests() -> None:
+def test_a_heavy_robot_that_brakes_is_foreseen_until_it_rests():
     """It loses 0.05 of 5 units a step: 99 steps at 4.95 to 0.05, 0.05 * 99 * 100 / 2 units."""
     field = Field([(0, 0), (400, 0), (400, 60), (0, 60)], [(390, 30)], [(20, 30), (50, 30)])
     settings = make_config({"mass": 10.0, "failures": Failures(at={0: 1})})
@@ -101,7 +101,7 @@ def test_a_heavy_robot_that_brakes_is_foreseen_until_it_rests() -> None:
     assert way[-1] == pytest.approx([97.35, 30.0])
 
 
-def test_plans_lead_round_robots_in_the_way() -> None:
+def test_plans_lead_round_robots_in_the_way():
     # One rests on the straight line to the ROI; one flies across it, to be met halfway.
     field = Field(SQUARE, [(280, 200)], [(120, 200)])
     problem = make_problem(field, NavigationConfig())
@@ -122,7 +122,7 @@ def test_plans_lead_round_robots_in_the_way() -> None:
         assert np.hypot(*(straight[0] - others[0][: straight.shape[1]]).T).min() < 10.0
 
 
-def test_a_corner_that_is_reached_is_passed() -> None:
+def test_a_corner_that_is_reached_is_passed():
     area = shapely.box(0, 0, 100, 100) - shapely.box(40, 40, 60, 60)
     roadmap = make_roadmap(area, np.array([(10.0, 45.0), (90.0, 45.0)]))
     assert roadmap.toward(np.array([10.0, 45.0]), 1).tolist() == [40.0, 40.0]

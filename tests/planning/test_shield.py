@@ -22,7 +22,7 @@ def shield(robots: int, **settings: Any) -> Shield:
     return Shield(make_problem(field, make_config(settings), closed_loop=True))
 
 
-def test_an_action_passes_if_the_robot_can_still_stop_at_the_wall() -> None:
+def test_an_action_passes_if_the_robot_can_still_stop_at_the_wall():
     cases = (
         (0.0, 5.1, True),  # at 2 units a step, then 1.5, 1, 0.5, 0: 5 in all
         (0.0, 5.0005, False),  # which float32 might round to the other side
@@ -44,7 +44,7 @@ def test_an_action_passes_if_the_robot_can_still_stop_at_the_wall() -> None:
         assert stop < room, (action, room, dtype)
 
 
-def test_the_last_step_shows_the_wind() -> None:
+def test_the_last_step_shows_the_wind():
     push = np.array([[1.0, 0.0]])
     for room, passes in ((7.1, True), (6.9, False)):  # 1.75, 1.5, 1.25 .. 0.25: 7 in all
         windy = shield(1)
@@ -53,7 +53,7 @@ def test_the_last_step_shows_the_wind() -> None:
         assert np.array_equal(windy.act(push, place, speed), push) == passes
 
 
-def test_robots_decide_in_index_order() -> None:
+def test_robots_decide_in_index_order():
     """A full force brings a robot 0.5 nearer and no further; 10.1 have to stay between them.
 
     With 10.8, robot 1 finds 10.3 left: half the velocity leaves 10.05, a quarter 10.175.
@@ -64,7 +64,7 @@ def test_robots_decide_in_index_order() -> None:
         np.testing.assert_allclose(found, [[one, 0.0], [other, 0.0]], atol=1e-12)
 
 
-def test_robots_that_have_failed_are_kept_away_from_and_left_alone() -> None:
+def test_robots_that_have_failed_are_kept_away_from_and_left_alone():
     coasting = shield(2, failures=Failures(at={1: 5}, kind="coast"))
     places = np.array([[200.0, 200.0], [220.0, 200.0]])
     speeds, failed = np.array([[0.0, 0.0], [-1.0, 0.0]]), np.array([False, True])
@@ -76,7 +76,7 @@ def test_robots_that_have_failed_are_kept_away_from_and_left_alone() -> None:
     assert np.array_equal(gone.act(actions, places, REST, failed), actions)
 
 
-def test_robots_are_foreseen_until_they_rest_or_the_episode_ends() -> None:
+def test_robots_are_foreseen_until_they_rest_or_the_episode_ends():
     guard = shield(1)
     guard.problem = guard.problem.in_wind(np.array([0.45, 0.0]))  # leaves 0.05 of 0.5 to brake with
     for start, room in ((140.0, np.inf), (145.0, -1.0)):  # it needs 158 of 160 or 155 units

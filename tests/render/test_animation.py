@@ -2,8 +2,6 @@
 
 import tracemalloc
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -34,9 +32,7 @@ def still_frames(count: int) -> Iterator[NDArray[np.uint8]]:
         ([*still_frames(3), SQUARE], "a.mp4", "frame 3"),
     ],
 )
-def test_wrong_animation_is_refused_and_nothing_replaced(
-    frames: list[Any], name: str, place: str, tmp_path: Path
-) -> None:
+def test_wrong_animation_is_refused_and_nothing_replaced(frames, name, place, tmp_path):
     path, write = tmp_path / name, write_mp4 if name == "a.mp4" else write_gif
     path.write_bytes(b"old")
     with pytest.raises(MbnError, match=rf"{name}: .*{place}"):
@@ -47,7 +43,7 @@ def test_wrong_animation_is_refused_and_nothing_replaced(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["a.gif", "a.mp4"])
-def test_animation_is_written_without_holding_its_frames(name: str, tmp_path: Path) -> None:
+def test_animation_is_written_without_holding_its_frames(name, tmp_path):
     write = write_gif if name == "a.gif" else write_mp4
     write(still_frames(2), tmp_path / name)  # what is loaded the first time is not counted
     tracemalloc.start()
@@ -57,7 +53,7 @@ def test_animation_is_written_without_holding_its_frames(name: str, tmp_path: Pa
     assert peak < 20 * 480_000, f"{peak / 1e6:.0f} MB for 60 frames of 0.48 MB"
 
 
-def test_gif_holds_the_frames_and_is_small(tmp_path: Path) -> None:
+def test_gif_holds_the_frames_and_is_small(tmp_path):
     from PIL import Image
 
     trail, viewer = wander(30, 3), Viewer("rgb_array", SIZE)

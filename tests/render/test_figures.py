@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -60,7 +59,7 @@ def labels_of(figure: Figure) -> list[str]:
 
 
 @pytest.mark.parametrize("outline", [SQUARE, SQUARE[::-1]])
-def test_field_is_drawn_to_scale_with_holes_rois_and_starts(outline: Any) -> None:
+def test_field_is_drawn_to_scale_with_holes_rois_and_starts(outline):
     figure = figures.field_figure(Field(outline, ROIS, STARTS, holes=[HOLE[::-1]]))
     axes = figure.axes[0]
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
@@ -77,7 +76,7 @@ def test_field_is_drawn_to_scale_with_holes_rois_and_starts(outline: Any) -> Non
     assert labels_of(figure) == ["ROI", "start of robot i"]
 
 
-def test_many_fields_are_drawn_whole_each_with_its_bar() -> None:
+def test_many_fields_are_drawn_whole_each_with_its_bar():
     small = Field([(0, 0), (40, 0), (40, 40), (0, 40)], [(20, 20)], [(5, 5)])
     figure = figures.fields_figure([FIELD, small])
     for axes, field, bar in zip(figure.axes, (FIELD, small), (50.0, 10.0), strict=True):
@@ -91,7 +90,7 @@ def test_many_fields_are_drawn_whole_each_with_its_bar() -> None:
         figures.fields_figure([])
 
 
-def test_each_robot_has_its_path_from_start_to_end() -> None:
+def test_each_robot_has_its_path_from_start_to_end():
     figure = drawn(visited=np.array([True, False]))
     for index in (0, 1):
         path, *_, start, end = lines_of(figure, style.robot_colour(index))
@@ -101,7 +100,7 @@ def test_each_robot_has_its_path_from_start_to_end() -> None:
     assert marked(figure, "$\\checkmark$") == [[list(ROIS[0])]]
 
 
-def test_headings_and_failures_are_marked() -> None:
+def test_headings_and_failures_are_marked():
     turned = {"headings": np.array([np.nan, 0.5]), "failed": np.array([True, False])}
     figure, pair = drawn(**turned), (snapshot(TRAILS), snapshot(TRAILS, **turned))
     both = figures.overlay_panels({"one": pair}, ("plane", "mujoco"))
@@ -114,7 +113,7 @@ def test_headings_and_failures_are_marked() -> None:
     assert "failed" in labels_of(figure) and "failed" not in labels_of(drawn())
 
 
-def test_collision_is_marked_between_the_closest_robots_that_have_not_vanished() -> None:
+def test_collision_is_marked_between_the_closest_robots_that_have_not_vanished():
     trail = np.array([[[120.0, 200.0], [288.0, 206.0], [280.0, 200.0], [289.0, 206.0]]])
     gone = np.array([False, False, False, True])
     moment = snapshot(trail, field=FIELD, failed=gone, gone=gone, collision=True)
@@ -125,7 +124,7 @@ def test_collision_is_marked_between_the_closest_robots_that_have_not_vanished()
 
 
 @pytest.mark.parametrize("wind", [(0.3, 0.0), (-0.1, 0.2)])
-def test_wind_arrow_points_the_way_the_wind_blows(wind: tuple[float, float]) -> None:
+def test_wind_arrow_points_the_way_the_wind_blows(wind):
     figure = drawn(winds=np.array([wind] * 3))
     (arrow,) = [text for text in figure.axes[0].texts if text.arrow_patch is not None]
     path = arrow.arrow_patch.get_path().vertices
@@ -135,7 +134,7 @@ def test_wind_arrow_points_the_way_the_wind_blows(wind: tuple[float, float]) -> 
     assert f"wind {np.hypot(*wind):.3g}" in [text.get_text() for text in figure.axes[0].texts]
 
 
-def test_figure_is_saved_in_the_format_of_its_name_or_not_at_all(tmp_path: Path) -> None:
+def test_figure_is_saved_in_the_format_of_its_name_or_not_at_all(tmp_path):
     starts = {".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<?xml"}
     for suffix, magic in starts.items():
         path = figures.save(figures.field_figure(FIELD), tmp_path / "new" / f"field{suffix}")
@@ -145,7 +144,7 @@ def test_figure_is_saved_in_the_format_of_its_name_or_not_at_all(tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_figures_leave_matplotlib_as_it_was() -> None:
+def test_figures_leave_matplotlib_as_it_was():
     code = (
         "import sys, matplotlib\n"
         "before = matplotlib.rcParams.copy()\n"
@@ -191,7 +190,7 @@ TO_LAB = [
 
 
 @pytest.mark.parametrize("sight", SIGHTS)
-def test_colours_of_robots_are_clearly_distinct_for_all_eyes(sight: str) -> None:
+def test_colours_of_robots_are_clearly_distinct_for_all_eyes(sight):
     """Distances are 100 times those of OKLab; below 2 two patches side by side look the same."""
     shown = np.array([style.rgb(style.robot_colour(index)) for index in range(10)]) / 255.0
     linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
@@ -201,7 +200,7 @@ def test_colours_of_robots_are_clearly_distinct_for_all_eyes(sight: str) -> None
     assert apart[~np.eye(10, dtype=bool)].min() > (15.0 if sight == "normal" else 8.0)
 
 
-def test_series_in_a_row_differ_in_colour_dash_and_marker() -> None:
+def test_series_in_a_row_differ_in_colour_dash_and_marker():
     looks = [style.series(index) for index in range(30)]
     for index in range(28):
         for aspect in zip(*looks[index : index + 3], strict=True):

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from mbn_marl.engine.snapshot import Snapshot
 from mbn_marl.field import Field
 from mbn_marl.render import Viewer, style
 from tests.support.pictures import FIELD, HOLE, SIZE, SQUARE, draw, snapshot, wander, where
@@ -12,9 +11,7 @@ pytest.importorskip("pygame", reason="needs the extra [render]")
 
 
 @pytest.mark.parametrize("position", [(200.0, 290.0), (200.0, 110.0), (285.0, 240.0)])
-def test_robot_is_drawn_where_it_is_with_y_up_and_holes_are_obstacles(
-    position: tuple[float, float],
-) -> None:
+def test_robot_is_drawn_where_it_is_with_y_up_and_holes_are_obstacles(position):
     field = Field(SQUARE, rois=FIELD.rois, starts=FIELD.starts, holes=[HOLE])
     frame = draw(snapshot([position], roi_radius=0.0, field=field))
     ground_rows, ground_columns = where(frame, style.GROUND)
@@ -29,7 +26,7 @@ def test_robot_is_drawn_where_it_is_with_y_up_and_holes_are_obstacles(
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.5 * np.pi, 2.5])
-def test_point_shows_where_a_robot_faces_and_a_cross_a_failure(heading: float) -> None:
+def test_point_shows_where_a_robot_faces_and_a_cross_a_failure(heading):
     alone = {"trail": [(200.0, 200.0)], "roi_radius": 0.0, "safety_distance": 0.0}
     plain, faced, failed = (
         draw(snapshot(**alone, **changes))
@@ -45,7 +42,7 @@ def test_point_shows_where_a_robot_faces_and_a_cross_a_failure(heading: float) -
     assert (failed[crossed] == style.rgb(style.INK)).all(axis=1).sum() > 20
 
 
-def test_visited_roi_is_filled_and_an_open_one_hollow() -> None:
+def test_visited_roi_is_filled_and_an_open_one_hollow():
     none, first = (draw(snapshot(visited=np.array(seen))) for seen in ([0, 0], [1, 0]))
     assert not where(none, style.ROI_VISITED)[0].size
     rows, columns = where(first, style.ROI_VISITED)
@@ -54,9 +51,7 @@ def test_visited_roi_is_filled_and_an_open_one_hollow() -> None:
 
 
 @pytest.mark.parametrize(("wind", "towards"), [((0.3, 0.0), (0, 1)), ((0.0, 0.3), (-1, 0))])
-def test_wind_arrow_points_the_way_the_wind_blows(
-    wind: tuple[float, float], towards: tuple[int, int]
-) -> None:
+def test_wind_arrow_points_the_way_the_wind_blows(wind, towards):
     corner = draw(snapshot(winds=np.array([wind])))[:44, -42:]
     mass = 255.0 - corner[:, :, 0]
     mass[(corner == style.rgb(style.OBSTACLE)).all(axis=2)] = 0.0
@@ -72,13 +67,13 @@ def test_wind_arrow_points_the_way_the_wind_blows(
 @pytest.mark.parametrize(
     ("ending", "colour"), [("success", style.SUCCESS), ("collision", style.COLLISION)]
 )
-def test_end_of_an_episode_is_announced(ending: str, colour: str) -> None:
+def test_end_of_an_episode_is_announced(ending, colour):
     running, over = draw(snapshot()), draw(snapshot(**{ending: True}))
     assert not where(running[:44], colour)[0].size
     assert where(over[:44], colour)[0].size > 100
 
 
-def test_users_robot_is_ringed() -> None:
+def test_users_robot_is_ringed():
     moment = snapshot([[(130.0, 200.0), (270.0, 200.0)]], safety_distance=0.0, roi_radius=0.0)
     plain, ours = (draw(moment, Viewer("rgb_array", SIZE, own=own)) for own in (None, 1))
     rows, columns = np.nonzero((plain != ours).any(axis=2))
@@ -87,7 +82,7 @@ def test_users_robot_is_ringed() -> None:
     assert 20 <= np.ptp(columns) <= 30, "a ring round a disc of 16 pixels"
 
 
-def test_trail_drawn_bit_by_bit_is_the_trail_drawn_at_once() -> None:
+def test_trail_drawn_bit_by_bit_is_the_trail_drawn_at_once():
     trail, viewer = wander(40, 3), Viewer("rgb_array", SIZE)
     frames = [draw(snapshot(trail[: step + 1]), viewer) for step in range(41)]
     assert np.array_equal(frames[-1], draw(snapshot(trail)))
@@ -107,7 +102,7 @@ def test_trail_drawn_bit_by_bit_is_the_trail_drawn_at_once() -> None:
     ],
     ids=["a shorter episode", "a longer episode", "wind", "another field"],
 )
-def test_nothing_of_the_last_frame_stays(other: Snapshot) -> None:
+def test_nothing_of_the_last_frame_stays(other):
     viewer = Viewer("rgb_array", SIZE)
     draw(snapshot(wander(20, 3)), viewer)
     assert np.array_equal(draw(other, viewer), draw(other))

@@ -18,7 +18,7 @@ from tests.support.pictures import SIZE, draw, snapshot
 pygame = pytest.importorskip("pygame", reason="needs the extra [render]")
 
 
-def test_frame_is_a_new_array_of_height_width_and_three_channels() -> None:
+def test_frame_is_a_new_array_of_height_width_and_three_channels():
     viewer = Viewer("rgb_array", size=(300, 220))
     first = draw(snapshot(), viewer)
     kept = first.copy()
@@ -29,7 +29,7 @@ def test_frame_is_a_new_array_of_height_width_and_three_channels() -> None:
 
 
 @pytest.mark.slow
-def test_array_needs_no_display_and_opens_none() -> None:
+def test_array_needs_no_display_and_opens_none():
     code = (
         "import pygame\n"
         "from mbn_marl.engine import BatchEngine\n"
@@ -45,7 +45,7 @@ def test_array_needs_no_display_and_opens_none() -> None:
     subprocess.run([sys.executable, "-c", code], env=variables, check=True)
 
 
-def test_without_pygame_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pygame_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
     for module in ("scene", "sprites"):
         monkeypatch.delitem(sys.modules, f"mbn_marl.render.{module}", raising=False)
@@ -53,7 +53,7 @@ def test_without_pygame_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatc
         Viewer("rgb_array").draw(snapshot())
 
 
-def test_every_wrong_argument_is_listed() -> None:
+def test_every_wrong_argument_is_listed():
     with pytest.raises(ConfigError, match=r"render_mode: (.|\n)* size: (.|\n)* frame_rate: "):
         Viewer("ansi", size=(400, 40), frame_rate=0.0)
     for size in ((400, 40), (400.0, 400), (400,), 400, "big"):
@@ -66,9 +66,7 @@ def test_every_wrong_argument_is_listed() -> None:
 @pytest.mark.parametrize("make", [parallel_env, centralized_env])
 @pytest.mark.parametrize("size", [{}, {"render_size": (500, 300)}])
 @pytest.mark.usefixtures("no_screen")
-def test_size_of_an_environments_pictures_is_an_argument(
-    make: Any, render_mode: str, size: Any
-) -> None:
+def test_size_of_an_environments_pictures_is_an_argument(make, render_mode, size):
     env = make("field_03", render_mode=render_mode, **size)
     env.reset(seed=0)
     frame = env.render()
@@ -86,7 +84,7 @@ def no_screen(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.usefixtures("no_screen")
-def test_window_shows_the_frame() -> None:
+def test_window_shows_the_frame():
     viewer = Viewer("human", SIZE, frame_rate=1000.0)
     assert viewer.draw(snapshot()) is None
     shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
@@ -97,7 +95,7 @@ def test_window_shows_the_frame() -> None:
 
 
 @pytest.mark.usefixtures("no_screen")
-def test_another_window_outlives_a_closed_one() -> None:
+def test_another_window_outlives_a_closed_one():
     one, other = (Viewer("human", SIZE, frame_rate=1000.0) for _ in range(2))
     one.draw(snapshot())
     other.draw(snapshot())
@@ -107,7 +105,7 @@ def test_another_window_outlives_a_closed_one() -> None:
 
 
 @pytest.mark.usefixtures("no_screen")
-def test_person_can_close_the_window() -> None:
+def test_person_can_close_the_window():
     viewer = Viewer("human", SIZE, frame_rate=1000.0)
     viewer.draw(snapshot())
     assert not viewer.closed
@@ -118,7 +116,7 @@ def test_person_can_close_the_window() -> None:
     assert not pygame.display.get_init(), "a closed window stays closed"
 
 
-def test_window_without_a_display_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_window_without_a_display_says_what_to_do(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "no_such_driver")
     with pytest.raises(RuntimeError, match="display"):
         Viewer("human").draw(snapshot())

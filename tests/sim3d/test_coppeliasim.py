@@ -86,9 +86,7 @@ FOREVER = cbor.dumps({"func": "_*wait*_", "args": []})
         pytest.param(cbor.dumps({"err": "a_=NL=_b"}), "refuses sim: a\nb", id="refusal"),
     ],
 )
-def test_wrong_server_is_an_error_in_time(
-    server: CoppeliaServer, answer: bytes, message: str
-) -> None:
+def test_wrong_server_is_an_error_in_time(server, answer, message):
     server.answer, port = answer, server.port if answer else free_port()
     begin = time.monotonic()
     with pytest.raises(SimulatorError, match=f"(?s)127.0.0.1:{port}.*{message}"):
@@ -97,7 +95,7 @@ def test_wrong_server_is_an_error_in_time(
 
 
 @pytest.mark.parametrize("ending", ["die", "endless step", "endless stop"])
-def test_server_that_goes_away_is_an_error_in_time(server: CoppeliaServer, ending: str) -> None:
+def test_server_that_goes_away_is_an_error_in_time(server, ending):
     simulator = begun(server, timeout=10.0)
     simulator.step()
     simulator._link.timeout = SHORT  # only now, however busy the machine is
@@ -116,9 +114,7 @@ def test_server_that_goes_away_is_an_error_in_time(server: CoppeliaServer, endin
             method()
 
 
-def test_numbers_out_of_range_and_a_missing_client_are_named(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_numbers_out_of_range_and_a_missing_client_are_named(monkeypatch):
     for changes, place in (({"port": 0}, "port: "), ({"timeout": 0.0}, "timeout: ")):
         with pytest.raises(ConfigError, match=place):
             CoppeliaSimulator(**changes).reset(mission())
@@ -127,16 +123,14 @@ def test_numbers_out_of_range_and_a_missing_client_are_named(
         CoppeliaSimulator().reset(mission())
 
 
-def test_link_leaves_the_users_script_alone(
-    server: CoppeliaServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_link_leaves_the_users_script_alone(server, monkeypatch):
     script = sys.modules["__main__"]
     monkeypatch.setattr(script, "require", "mine", raising=False)
     CoppeliaLink("127.0.0.1", server.port, 2.0).close()
     assert vars(script)["require"] == "mine"
 
 
-def test_link_survives_a_refusal_and_no_more(server: CoppeliaServer) -> None:
+def test_link_survives_a_refusal_and_no_more(server):
     link = CoppeliaLink("127.0.0.1", server.port, SHORT)
     with pytest.raises(SimulatorError, match=r"refuses sim\.dance.*No such function"):
         link.call("dance")
@@ -151,7 +145,7 @@ def test_link_survives_a_refusal_and_no_more(server: CoppeliaServer) -> None:
     link.close()
 
 
-def test_policy_sprays_every_weed_of_a_field_with_a_hole(server: CoppeliaServer) -> None:
+def test_policy_sprays_every_weed_of_a_field_with_a_hole(server):
     with connect(server) as simulator:
         done = deploy(make_classical("greedy", ORCHARD, {}), ORCHARD, {}, simulator)
         assert done.success and done.seconds is None, "it is another program"
@@ -168,7 +162,7 @@ def test_policy_sprays_every_weed_of_a_field_with_a_hole(server: CoppeliaServer)
     assert left(server) == EMPTY
 
 
-def test_vehicles_track_the_commanded_velocities(server: CoppeliaServer) -> None:
+def test_vehicles_track_the_commanded_velocities(server):
     starts, wanted = square().starts, np.array([[1.0, -0.5], [0.0, 2.0]])
     with begun(server, square(), scale=Scale(metres=0.2, seconds=0.5)) as simulator:
         begin = simulator.motion()
@@ -185,7 +179,7 @@ def test_vehicles_track_the_commanded_velocities(server: CoppeliaServer) -> None
     assert motion.positions == pytest.approx(starts + 40 * wanted, abs=2.0)
 
 
-def test_vehicle_that_brakes_lands_where_it_stops(server: CoppeliaServer) -> None:
+def test_vehicle_that_brakes_lands_where_it_stops(server):
     with begun(server, square()) as simulator:
         simulator.fail(0, "brake")
         for speed, height in ((1.0, 0.35), (0.0, 0.15), (0.0, 0.0)):
@@ -201,7 +195,7 @@ def test_vehicle_that_brakes_lands_where_it_stops(server: CoppeliaServer) -> Non
     assert motion.positions[0] == pytest.approx(square().starts[0] + (1.0, 0.0), abs=0.1)
 
 
-def test_scene_is_the_field(server: CoppeliaServer) -> None:
+def test_scene_is_the_field(server):
     with begun(server) as simulator:
         for alias, side in (("boundary", 10.0), ("obstacle", 2.0)):
             things, half = server.named(f"mbn_{alias}"), side / 2
@@ -220,7 +214,7 @@ def test_scene_is_the_field(server: CoppeliaServer) -> None:
         assert sprayed(server) == [False, True, False] * 2
 
 
-def test_second_reset_builds_it_again(server: CoppeliaServer) -> None:
+def test_second_reset_builds_it_again(server):
     with begun(server) as simulator:
         before = left(server)
         simulator.spray(0)
@@ -236,9 +230,7 @@ def test_second_reset_builds_it_again(server: CoppeliaServer) -> None:
 
 
 @pytest.mark.parametrize(("kind", "at"), [("stops_at", 40), ("pauses_at", 27)])
-def test_stop_or_pause_by_hand_is_an_error_in_its_step(
-    server: CoppeliaServer, kind: str, at: int
-) -> None:
+def test_stop_or_pause_by_hand_is_an_error_in_its_step(server, kind, at):
     """A step is 20 of the simulator: all happen in the second, one stop at its very end."""
     setattr(server, kind, at)
     with begun(server) as simulator:
@@ -249,9 +241,7 @@ def test_stop_or_pause_by_hand_is_an_error_in_its_step(
     assert not any(client.stepping for client in server.clients.values())
 
 
-def test_broken_off_call_leaves_nothing_behind(
-    server: CoppeliaServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_broken_off_call_leaves_nothing_behind(server, monkeypatch):
     def interrupt(_: object) -> bytes:
         raise KeyboardInterrupt
 
@@ -264,7 +254,7 @@ def test_broken_off_call_leaves_nothing_behind(
     assert left(server) == EMPTY
 
 
-def test_running_simulation_is_left_alone(server: CoppeliaServer) -> None:
+def test_running_simulation_is_left_alone(server):
     server.state = RUNNING
     with pytest.raises(SimulatorError, match="simulating something already"):
         connect(server).reset(mission())
@@ -279,18 +269,14 @@ def test_running_simulation_is_left_alone(server: CoppeliaServer) -> None:
         ({"scale": Scale(seconds=0.33)}, "lasts 0.33 s.*time steps of 0.05 s"),
     ],
 )
-def test_failed_reset_leaves_nothing_behind(
-    server: CoppeliaServer, changes: dict[str, Any], message: str
-) -> None:
+def test_failed_reset_leaves_nothing_behind(server, changes, message):
     with pytest.raises(SimulatorError, match=message):
         connect(server, **changes).reset(mission())
     assert left(server) == EMPTY
 
 
 @pytest.mark.all
-def test_page_does_what_it_shows(
-    server: CoppeliaServer, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_page_does_what_it_shows(server, capsys):
     text = PAGE.read_text("utf-8")
     blocks = dict(re.findall(r"```{code-block} (\w+)\n(.*?)```", text, re.DOTALL))
     for words in commands_of(Block("sh", blocks["sh"])):

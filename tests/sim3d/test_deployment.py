@@ -40,9 +40,7 @@ def assert_same_episode(policy: Any, field: Field, settings: Mapping[str, Any]) 
         ("zoo", "field_03", {"wind": (0.1, 30.0)}),
     ],
 )
-def test_plane_gives_the_environments_episode(
-    policy: str, field: str, settings: Mapping[str, Any]
-) -> None:
+def test_plane_gives_the_environments_episode(policy, field, settings):
     place, run = load_field(field), open_run("zoo:field_03")
     if policy == "zoo":
         settings = {**run.config["environment"], **settings}
@@ -55,7 +53,7 @@ def test_plane_gives_the_environments_episode(
 
 
 @pytest.mark.parametrize("kind", ["brake", "coast", "vanish"])
-def test_disturbed_robots_that_turn_and_fail_are_on_the_plane_as_in_the_engine(kind: str) -> None:
+def test_disturbed_robots_that_turn_and_fail_are_on_the_plane_as_in_the_engine(kind):
     settings = EVERYTHING | DISTURBANCES | {"dynamics": ("unicycle", "bicycle")}
     settings |= {"f_max": 2.0, "max_steps": 60, "mass": Uniform(1.0, 1.2)}
     settings["failures"] = {"at": {1: 35}, "kind": kind}
@@ -81,7 +79,7 @@ class Windy(PlaneSimulator):
         self.steps += 1
 
 
-def test_simulator_learns_once_who_fails() -> None:
+def test_simulator_learns_once_who_fails():
     failing = TWO | {"failures": {"at": {1: 3, 0: 5}, "kind": "coast"}, "max_steps": 7}
     simulator = Windy()
     done = deploy(Wander(), SMALL, failing, simulator)
@@ -92,7 +90,7 @@ def test_simulator_learns_once_who_fails() -> None:
         deploy(Wander(), SMALL, failing, simulator)
 
 
-def test_wind_of_a_simulator_is_in_the_episode() -> None:
+def test_wind_of_a_simulator_is_in_the_episode():
     settings: dict[str, Any] = TWO | {"wind": (0.25, 90.0), "gust": 0.1, "max_steps": 5}
     own, plane = (
         deploy(Wander(), SMALL, settings, kind()).episode for kind in (Windy, PlaneSimulator)
@@ -103,7 +101,7 @@ def test_wind_of_a_simulator_is_in_the_episode() -> None:
     assert not np.array_equal(own.positions, plane.positions)
 
 
-def test_deployed_episode_has_the_numbers_that_the_engine_draws() -> None:
+def test_deployed_episode_has_the_numbers_that_the_engine_draws():
     settings: dict[str, Any] = TWO | {"mass": Uniform(1.0, 2.0), "max_steps": 5}
     engine = BatchEngine(SMALL, 1, seed=3, **settings)
     engine.reset()
@@ -115,7 +113,7 @@ def test_deployed_episode_has_the_numbers_that_the_engine_draws() -> None:
     assert windy.tracking_error > 0.0
 
 
-def test_a_mission_that_an_error_ends_is_abandoned() -> None:
+def test_a_mission_that_an_error_ends_is_abandoned():
     class Lost(PlaneSimulator):
         abandoned = 0
 
@@ -131,7 +129,7 @@ def test_a_mission_that_an_error_ends_is_abandoned() -> None:
     assert simulator.abandoned == 1
 
 
-def test_drawn_limits_do_not_change_the_scale_of_observations() -> None:
+def test_drawn_limits_do_not_change_the_scale_of_observations():
     settings = {"observation": "entities", "v_clip": Uniform(1.0, 5.0), "max_steps": 20}
     assert_same_episode(Wander, SMALL, settings)
 
@@ -146,9 +144,7 @@ def tracked() -> tuple[BatchEngine, TrackedWorld]:
     return engine, world
 
 
-def test_positions_are_judged_where_they_were_measured(
-    tracked: tuple[BatchEngine, TrackedWorld],
-) -> None:
+def test_positions_are_judged_where_they_were_measured(tracked):
     engine, world = tracked
     world.measure([(141.0, 150.0), (120.0, 99.0)], [(9.0, -9.0), (0.0, 0.0)])
     now = engine.snapshot()
@@ -159,7 +155,7 @@ def test_positions_are_judged_where_they_were_measured(
     assert engine.metrics()["wall_hits"][0].tolist() == [0, 1]
 
 
-def test_command_out_of_the_field_is_to_stay(tracked: tuple[BatchEngine, TrackedWorld]) -> None:
+def test_command_out_of_the_field_is_to_stay(tracked):
     _, world = tracked
     world.measure([(120.0, 102.0), (380.0, 120.0)], [(0.0, -4.0), (0.0, 0.0)])
     command = world.command(np.ones((2, 2)) * (0.0, 1.0))
@@ -167,7 +163,7 @@ def test_command_out_of_the_field_is_to_stay(tracked: tuple[BatchEngine, Tracked
     np.testing.assert_array_equal(command.velocities, [(0.0, 0.0), (0.0, 0.5)])
 
 
-def test_vehicles_own_limit_bounds_its_commands(tracked: tuple[BatchEngine, TrackedWorld]) -> None:
+def test_vehicles_own_limit_bounds_its_commands(tracked):
     engine, world = tracked[0], TrackedWorld(tracked[0], speed_limit=2.0)
     world.command(np.zeros((2, 2)))
     world.measure(SMALL.starts + 5.0, [(1.9, 0.0), (0.0, 4.0)])
@@ -175,7 +171,7 @@ def test_vehicles_own_limit_bounds_its_commands(tracked: tuple[BatchEngine, Trac
     assert engine.config.v_clip == 5.0  # the observation's scale is the policy's
 
 
-def test_measured_collision_ends_the_episode(tracked: tuple[BatchEngine, TrackedWorld]) -> None:
+def test_measured_collision_ends_the_episode(tracked):
     engine, world = tracked
     world.measure([(150.0, 120.0), (159.9, 120.0)], np.zeros((2, 2)))
     assert engine.snapshot().collision
@@ -183,9 +179,7 @@ def test_measured_collision_ends_the_episode(tracked: tuple[BatchEngine, Tracked
         world.command(np.zeros((2, 2)))
 
 
-def test_wrong_measurements_and_numbers_are_errors(
-    tracked: tuple[BatchEngine, TrackedWorld],
-) -> None:
+def test_wrong_measurements_and_numbers_are_errors(tracked):
     engine, world = tracked
     with pytest.raises(StepError, match=r"allowed: measure\(\) first"):
         world.command(np.zeros((2, 2)))

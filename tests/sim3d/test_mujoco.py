@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 from importlib.util import find_spec
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -48,9 +47,7 @@ def drive(simulator: MujocoSimulator, velocities: Any, steps: int = 1) -> None:
     ("vehicle", "steps", "most", "limit"),
     [("quadrotor", 1, 0.05, None), ("balancer", 6, 0.15, 2.0)],
 )
-def test_vehicle_moves_as_commanded_and_stays_up(
-    vehicle: str, steps: int, most: float, limit: float | None
-) -> None:
+def test_vehicle_moves_as_commanded_and_stays_up(vehicle, steps, most, limit):
     simulator = begun(vehicle)
     assert simulator.speed_limit == limit
     for velocity in ((1.0, 0.0), (0.0, -1.5), (0.0, 0.0)):
@@ -61,7 +58,7 @@ def test_vehicle_moves_as_commanded_and_stays_up(
         assert simulator.senses().rotations[:, 2, 2].min() > np.cos(np.radians(15.0))
 
 
-def test_wind_moves_a_free_body_as_it_moves_a_point_mass(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wind_moves_a_free_body_as_it_moves_a_point_mass(monkeypatch):
     monkeypatch.setattr(quadrotor, "VELOCITY_GAIN", 0.0)  # it holds its height and drifts
     wind = 0.2 * np.array([math.cos(math.radians(30)), math.sin(math.radians(30))])
     simulator = begun(wind=tuple(wind), scale=Scale(0.2, 0.5))
@@ -70,7 +67,7 @@ def test_wind_moves_a_free_body_as_it_moves_a_point_mass(monkeypatch: pytest.Mon
     np.testing.assert_allclose(gained, [wind, wind], rtol=0.1)
 
 
-def test_obstacle_stops_a_quadrotor() -> None:
+def test_obstacle_stops_a_quadrotor():
     field = Field(SMALL.vertices, SMALL.rois, [(190, 200), (380, 120)], [BEND])
     simulator = begun(field=field)
     drive(simulator, (1.0, 0.0), 25)
@@ -80,7 +77,7 @@ def test_obstacle_stops_a_quadrotor() -> None:
 
 
 @pytest.mark.parametrize(("vehicle", "height"), [("quadrotor", 0.055), ("balancer", 0.1)])
-def test_vehicle_that_brakes_stands_where_it_stopped(vehicle: str, height: float) -> None:
+def test_vehicle_that_brakes_stands_where_it_stopped(vehicle, height):
     """A quadrotor lands there. Wind does not move it; the other one flies."""
     simulator = begun(vehicle, wind=(0.3, 0.2))
     drive(simulator, (1.5, 0.0), 4)
@@ -101,7 +98,7 @@ def test_vehicle_that_brakes_stands_where_it_stopped(vehicle: str, height: float
     assert stone[parts == robot].any()
 
 
-def test_policy_of_the_plane_flies() -> None:
+def test_policy_of_the_plane_flies():
     ideal = deploy(make_classical("greedy", SMALL, {}), SMALL, {}, PlaneSimulator())
     with MujocoSimulator() as simulator:
         real = deploy(make_classical("greedy", SMALL, {}), SMALL, {}, simulator)
@@ -115,7 +112,7 @@ def test_policy_of_the_plane_flies() -> None:
     assert real.separation == pytest.approx(min(gaps))
 
 
-def test_scene_has_what_the_field_has() -> None:
+def test_scene_has_what_the_field_has():
     simulator = begun()
     names = [simulator.model.geom(k).name for k in range(simulator.model.ngeom)]
     assert [name for name in names if name.startswith("weed")] == ["weed_0", "weed_1", "weed_2"]
@@ -128,7 +125,7 @@ def test_scene_has_what_the_field_has() -> None:
     assert shown == [False, True, False]
 
 
-def test_unknown_names_and_a_missing_mujoco_are_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_names_and_a_missing_mujoco_are_errors(monkeypatch):
     with pytest.raises(ConfigError, match="quadrotor, balancer"):
         MujocoSimulator("helicopter")
     with pytest.raises(ConfigError, match="camera: "):
@@ -149,7 +146,7 @@ def opengl() -> None:
 
 @pytest.mark.all
 @pytest.mark.usefixtures("opengl")
-def test_drawing_does_not_depend_on_who_loads_mujoco_first() -> None:
+def test_drawing_does_not_depend_on_who_loads_mujoco_first():
     code = """
 import warnings; warnings.simplefilter("ignore")
 import mujoco
@@ -160,7 +157,7 @@ load_mujoco().Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).clos
     subprocess.run([sys.executable, "-c", code], check=True, env=free)
 
 
-def test_a_mission_that_fails_leaves_no_film(tmp_path: Path) -> None:
+def test_a_mission_that_fails_leaves_no_film(tmp_path):
     film = Film(tmp_path / "film.mp4")
     film._renderer = SimpleNamespace(close=lambda: None)
     film._writer.add(np.zeros((64, 64, 3), np.uint8))
@@ -177,7 +174,7 @@ def test_a_mission_that_fails_leaves_no_film(tmp_path: Path) -> None:
 
 @pytest.mark.all
 @pytest.mark.usefixtures("opengl")
-def test_film_shows_the_mission(tmp_path: Path) -> None:
+def test_film_shows_the_mission(tmp_path):
     field = Field([(0, 0), (60, 0), (60, 45), (0, 45)], [(30, 22)], [(15, 20)], name="yard")
     save_field(field, tmp_path / "yard.yaml")
     video, numbers = tmp_path / "mission.mp4", tmp_path / "numbers.json"

@@ -18,7 +18,7 @@ from mbn_marl.errors import ActionError, ConfigError, StepError
 from mbn_marl.field import FieldSampler
 from mbn_marl.field.generator.layout import FAMILIES
 from tests.engine.test_golden import golden_field
-from tests.golden import Episode, load_episodes
+from tests.golden import load_episodes
 from tests.support.worlds import ASSIGNED, KINDS, OWN
 
 SPREAD = sorted(load_episodes(), key=lambda episode: len(episode.actions))[::18]
@@ -112,7 +112,7 @@ def run(cpu: BatchEngine, gpu: BatchEngine, steps: int) -> int:
 
 
 @pytest.mark.parametrize("autoreset", ["same_step", "next_step"])
-def test_equals_the_cpu_through_resets(autoreset: Any) -> None:
+def test_equals_the_cpu_through_resets(autoreset):
     assert run(*pair(autoreset=autoreset, **SETTINGS), steps=200) >= 10
 
 
@@ -154,12 +154,12 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_equals_the_cpu(case: str) -> None:
+def test_equals_the_cpu(case):
     run(*pair(**(SETTINGS | CASES[case])), steps=60)
 
 
 @pytest.mark.parametrize("episode", SPREAD, ids=lambda episode: episode.id)
-def test_golden_episode(episode: Episode) -> None:
+def test_golden_episode(episode):
     field = golden_field(episode.field)
     engine = BatchEngine(
         field, 2, device="cuda", n_robots=episode.n_robots, wind=episode.wind, autoreset=False
@@ -175,7 +175,7 @@ def test_golden_episode(episode: Episode) -> None:
     assert state[4 * n] == episode.codes[-1]
 
 
-def test_worlds_that_have_ended_wait_for_their_reset() -> None:
+def test_worlds_that_have_ended_wait_for_their_reset():
     cpu, gpu = pair(autoreset="disabled", **SETTINGS)
     run_on = np.array([True, True, True])
     cpu.reset(), gpu.reset()
@@ -196,7 +196,7 @@ def test_worlds_that_have_ended_wait_for_their_reset() -> None:
     assert resets >= 4
 
 
-def test_a_fault_rests_its_world_and_is_raised_at_the_next_reset() -> None:
+def test_a_fault_rests_its_world_and_is_raised_at_the_next_reset():
     _, gpu = pair(autoreset="disabled", **SETTINGS)
     with pytest.raises(StepError, match="world 0 was never reset"):
         gpu.step(torch.zeros(WORLDS, 3, 2))
@@ -227,7 +227,7 @@ def test_a_fault_rests_its_world_and_is_raised_at_the_next_reset() -> None:
         (torch.zeros(WORLDS, 3, 2, dtype=torch.bool), "actions: dtype torch.bool"),
     ],
 )
-def test_shapes_and_types_are_checked_at_once(actions: Any, problem: str) -> None:
+def test_shapes_and_types_are_checked_at_once(actions, problem):
     _, gpu = pair()
     gpu.reset()
     with pytest.raises(ActionError, match=problem):
@@ -236,7 +236,7 @@ def test_shapes_and_types_are_checked_at_once(actions: Any, problem: str) -> Non
         gpu.reset_worlds(torch.ones(2, dtype=torch.bool))
 
 
-def test_outputs_are_written_in_place_and_copies_and_saved_worlds_go_on_alike() -> None:
+def test_outputs_are_written_in_place_and_copies_and_saved_worlds_go_on_alike():
     _, gpu = pair(**SETTINGS)
     _, other = pair(**SETTINGS)
     first = gpu.reset()
@@ -256,7 +256,7 @@ def test_outputs_are_written_in_place_and_copies_and_saved_worlds_go_on_alike() 
     assert twin.step(actions)[0] is not first
 
 
-def test_snapshot() -> None:
+def test_snapshot():
     cpu, gpu = pair(**SETTINGS)
     run(cpu, gpu, 10)
     expected, got = vars(cpu.snapshot(1)), vars(gpu.snapshot(1))
@@ -265,7 +265,7 @@ def test_snapshot() -> None:
         np.testing.assert_array_equal(got[name], expected[name], name)
 
 
-def test_torchrl_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_torchrl_environment(monkeypatch):
     from mbn_marl.adapters import torchrl
 
     made = []
@@ -284,13 +284,13 @@ def test_torchrl_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (made[0] == made[1]).all()
 
 
-def test_the_simulator_is_no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_simulator_is_no_gpu(monkeypatch):
     monkeypatch.undo()
     with pytest.raises(ConfigError, match=r"an NVIDIA GPU.*\[cuda\].*CUDASIM"):
         BatchEngine("field_03", 2, device="cuda")
 
 
-def test_recorders_note_the_same() -> None:
+def test_recorders_note_the_same():
     from mbn_marl.episode import EpisodeRecorder
 
     cpu, gpu = pair(**{**SETTINGS, "max_steps": 3})

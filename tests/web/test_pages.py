@@ -103,7 +103,7 @@ def robots(page: Chromium, panel: int) -> Any:
 
 
 @pytest.mark.all
-def test_page_loads_alone_and_moves_its_robots(page: Chromium) -> None:
+def test_page_loads_alone_and_moves_its_robots(page):
     assert page.run("performance.getEntriesByType('resource').length") == 0
     titles = page.run("[...document.querySelectorAll('.panel h2')].map(h => h.textContent)")
     assert titles == ["short", "<b>long</b> & </script>"]
@@ -123,7 +123,7 @@ WINDS[0], WINDS[4] = (0.3, 0.4), (-0.1, -0.1)
 
 
 @pytest.mark.all
-def test_failures_headings_and_gusts_are_shown(browser: Chromium, tmp_path: Path) -> None:
+def test_failures_headings_and_gusts_are_shown(browser, tmp_path):
     disturbed = replace(SHORT, failed=np.array([0, 4], np.int32), headings=TURNED, winds=WINDS)
     page = opened(browser, tmp_path, LONG, disturbed)
     turned = "one.getAttribute('transform').replace(/\\.\\d+/, '')"
@@ -148,7 +148,7 @@ KNOWN = Knowledge(np.array([False, True, False]), DONE, FOUND, HEARD)
 
 
 @pytest.mark.all
-def test_what_each_robot_knows_and_hears_is_shown(browser: Chromium, tmp_path: Path) -> None:
+def test_what_each_robot_knows_and_hears_is_shown(browser, tmp_path):
     page = opened(browser, tmp_path, LONG, replace(SHORT, knowledge=KNOWN))
     look = "['visited', 'empty', 'unfound'].filter(name => one.classList.contains(name)).join()"
     ends = "(one.getAttribute('d') || '').match(/-?\\d[-\\d.e]*/g)"
@@ -171,7 +171,7 @@ def test_what_each_robot_knows_and_hears_is_shown(browser: Chromium, tmp_path: P
 
 
 @pytest.mark.all
-def test_rois_returns_cursor_and_scales_are_right(page: Chromium) -> None:
+def test_rois_returns_cursor_and_scales_are_right(page):
     """40 steps of three robots cost 10 each; the ROI of step 21 earns 10 000."""
     for step, visited in ((20, 0), (21, 1)):
         scrub(page, step)
@@ -187,7 +187,7 @@ def test_rois_returns_cursor_and_scales_are_right(page: Chromium) -> None:
 
 
 @pytest.mark.all
-def test_keys_drive_the_player_to_its_end_and_back(page: Chromium) -> None:
+def test_keys_drive_the_player_to_its_end_and_back(page):
     for key, shift, expected in (
         ("End", False, "40 / 40"),
         ("ArrowLeft", True, "30 / 40"),
@@ -210,7 +210,7 @@ def test_keys_drive_the_player_to_its_end_and_back(page: Chromium) -> None:
 
 
 @pytest.mark.all
-def test_phone_and_the_dark(page: Chromium) -> None:
+def test_phone_and_the_dark(page):
     colour = "getComputedStyle(document.documentElement).backgroundColor"
     light = page.run(colour)
     page.size(390, 844, dark=True, phone=True)
@@ -220,7 +220,7 @@ def test_phone_and_the_dark(page: Chromium) -> None:
     assert box["width"] <= 390 and box["bottom"] <= 845, "the controls stay on the screen"
 
 
-def test_page_holds_its_episodes() -> None:
+def test_page_holds_its_episodes():
     with pytest.raises(MbnError, match="episode"):
         replay_page([])
     short, long = replay_page([SHORT]), replay_page([LONG])
@@ -242,9 +242,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.all
-def test_the_report_is_one_page_with_everything(
-    runs: Path, browser: Chromium, tmp_path: Path
-) -> None:
+def test_the_report_is_one_page_with_everything(runs, browser, tmp_path):
     out = tmp_path / "report.html"
     assert main(["report", str(runs), "-o", str(out)]) == 0
     browser.size(1200, 900)
@@ -263,9 +261,7 @@ def test_the_report_is_one_page_with_everything(
 
 
 @pytest.mark.slow
-def test_a_report_is_written_or_refused_before_the_work(
-    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_report_is_written_or_refused_before_the_work(runs, tmp_path, capsys):
     out, new = tmp_path / "report.html", str(tmp_path / "new.html")
     assert main(["report", str(runs), "-o", str(out)]) == 0
     page = out.read_text(encoding="utf-8")

@@ -17,7 +17,6 @@ from mbn_marl.config import make_config
 from mbn_marl.episode import load_episode, play, save_episode
 from mbn_marl.field import generate
 from mbn_marl.jit.compile import ANNOUNCEMENT
-from tests.baselines.conftest import Refusal
 from tests.support.records import make_run
 
 CATALOGUE = Path(__file__).parents[3] / "envs_catalog"
@@ -27,9 +26,7 @@ TINY = ("--steps", "1", "--evaluate-every", "4096", "--episodes", "2")
 pytestmark = pytest.mark.slow
 
 
-def test_train_records_the_run_and_evaluate_repeats_its_evaluation(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_train_records_the_run_and_evaluate_repeats_its_evaluation(tmp_path, capsys):
     run, out = tmp_path / "run", tmp_path / "result.json"
     small = ["--set", "num_worlds=4", "rollout_steps=16", "hidden=[8]"]
     words = ["train", "ippo", "field_03", *TINY, "--seed", "7", *small, "--out", str(run)]
@@ -100,21 +97,14 @@ def test_train_records_the_run_and_evaluate_repeats_its_evaluation(
         ("tune ppo --resume", ["is not the folder of a study"]),
     ],
 )
-def test_all_problems_are_named_at_once(
-    words: str, places: list[str], tmp_path: Path, refusal: Refusal
-) -> None:
+def test_all_problems_are_named_at_once(words, places, tmp_path, refusal):
     error = refusal(words.split())
     assert error.count("\n  - ") in (0, len(places)), error
     assert all(place in error for place in places), error
     assert not list(tmp_path.iterdir())
 
 
-def test_runs_are_listed_with_their_state(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    refusal: Refusal,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_runs_are_listed_with_their_state(tmp_path, capsys, refusal, monkeypatch):
     names = ("finished", "going", "begun", "damaged")
     paths = {name: make_run(tmp_path, label=name, seed=7).run.path for name in names}
     for name in ("going", "begun"):
@@ -169,7 +159,7 @@ print(json.dumps([before, compiled()]))
 """
 
 
-def test_warmup_compiles_all_that_environments_use() -> None:
+def test_warmup_compiles_all_that_environments_use():
     done = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, text=True, check=True)
     seconds, found = done.stdout.splitlines()
     assert seconds.startswith("relative, calm: ")
@@ -179,7 +169,7 @@ def test_warmup_compiles_all_that_environments_use() -> None:
     assert after == before
 
 
-def test_compilation_is_announced_once(tmp_path: Path) -> None:
+def test_compilation_is_announced_once(tmp_path):
     code = "from mbn_marl.engine.kernels import all_finite as f; import numpy as np; "
     code += "[f(np.zeros(2, kind)) for kind in ('f4', 'f8')]"
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
@@ -195,9 +185,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_replay_writes_a_page_and_nothing_over_another(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_replay_writes_a_page_and_nothing_over_another(recorded, tmp_path, capsys):
     other = save_episode(
         play(load_field("field_03"), make_config({}), np.zeros((3, 3, 2)), source="waiting"),
         tmp_path / "waiting.json",
@@ -216,9 +204,7 @@ def test_replay_writes_a_page_and_nothing_over_another(
     assert out.read_text() == text
 
 
-def test_render_shows_a_recorded_episode(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_render_shows_a_recorded_episode(recorded, tmp_path, capsys):
     for name, start in (("a.gif", b"GIF89a"), ("a.pdf", b"%PDF"), ("a.svg", b"<?xml")):
         assert main(["render", str(recorded), "-o", str(tmp_path / name)]) == 0
         assert (tmp_path / name).read_bytes().startswith(start)
@@ -230,7 +216,7 @@ def test_render_shows_a_recorded_episode(
     assert not (tmp_path / "b.gif").exists()
 
 
-def test_evaluate_records_its_best_median_and_worst(tmp_path: Path) -> None:
+def test_evaluate_records_its_best_median_and_worst(tmp_path):
     source = ["random", "--field", "field_07"]
     out, results = tmp_path / "episodes", tmp_path / "results.json"
     command = ["evaluate", *source, "--episodes", "5", "--seed", "3", "--record", str(out)]
@@ -244,7 +230,7 @@ def test_evaluate_records_its_best_median_and_worst(tmp_path: Path) -> None:
     assert main(command) == 2, "the folder is there already"
 
 
-def test_fields_are_listed_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fields_are_listed_and_drawn(tmp_path, capsys):
     out = tmp_path / "fields.pdf"
     assert main(["fields", "field_03", "field_05", "--figure", str(out)]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
@@ -254,7 +240,7 @@ def test_fields_are_listed_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "field_" not in capsys.readouterr().out
 
 
-def test_random_fields_are_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_random_fields_are_made(tmp_path, capsys):
     out = tmp_path / "fields"
     words = ["fields", "--generate", "farm", "concave", "--seed", "7", "--count", "2"]
     assert main([*words, "--robots", "4", "--size", "150", "160", "-o", str(out)]) == 0
@@ -277,9 +263,7 @@ class Turns:
 RENDER, EVALUATE = "render -o a.json --steps 1", "evaluate --episodes 1 --record records"
 
 
-def test_episodes_are_of_the_policy_the_field_and_the_wind_that_are_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_episodes_are_of_the_policy_the_field_and_the_wind_that_are_named(tmp_path, monkeypatch):
     (tmp_path / "turning.py").write_text(OWN)
     monkeypatch.chdir(tmp_path)
     source = ["turning:Turns", "--field", "field_05"]

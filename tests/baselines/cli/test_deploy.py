@@ -12,7 +12,6 @@ from mbn_marl.config import make_config
 from mbn_marl.episode import play, save_episode
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field, save_field
-from tests.baselines.conftest import Refusal
 from tests.support.missions import SMALL
 
 pytestmark = pytest.mark.slow
@@ -26,9 +25,7 @@ def small_file(tmp_path: Path) -> str:
     return str(path)
 
 
-def test_the_command_compares_and_writes(
-    small_file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_compares_and_writes(small_file, tmp_path, capsys):
     numbers, figure = tmp_path / "numbers.json", tmp_path / "paths.png"
     outputs = ["--json", str(numbers), "--figure", str(figure)]
     command = ["deploy", "greedy", "--field", small_file, "--compare", *outputs]
@@ -43,7 +40,7 @@ def test_the_command_compares_and_writes(
     assert "already exists" in capsys.readouterr().err
 
 
-def test_the_command_sweeps_the_wind(small_file: str, tmp_path: Path) -> None:
+def test_the_command_sweeps_the_wind(small_file, tmp_path):
     numbers, figure = tmp_path / "numbers.json", tmp_path / "panels.png"
     command = ["deploy", "greedy", "--field", small_file, "--wind-speeds", "0.1,0.2"]
     assert main([*command, "--json", str(numbers), "--figure", str(figure)]) == 0
@@ -58,7 +55,7 @@ def test_the_command_sweeps_the_wind(small_file: str, tmp_path: Path) -> None:
     assert {row["strongest_wind"] for row in rows} == {0.1}
 
 
-def test_wind_speeds_are_listed_or_in_even_steps() -> None:
+def test_wind_speeds_are_listed_or_in_even_steps():
     assert parse_speeds("0, 0.25,1") == [0.0, 0.25, 1.0]
     assert parse_speeds("0.4,0.3,..,0.1,0") == [0.4, 0.3, 0.2, 0.1, 0.0]
     assert len(parse_speeds("0,1,..,99")) == 100
@@ -83,7 +80,7 @@ def test_wind_speeds_are_listed_or_in_even_steps() -> None:
         ("zoo:field_03 --port 1 --timeout 1", "timeout: "),
     ],
 )
-def test_wrong_options_are_refused_by_place(options: str, place: str, refusal: Refusal) -> None:
+def test_wrong_options_are_refused_by_place(options, place, refusal):
     assert place in refusal(["deploy", *options.split()])
 
 
@@ -104,9 +101,7 @@ watch nowhere -o old.json
 """
 
 
-def test_with_force_nothing_is_moved_aside_before_all_is_checked(
-    tmp_path: Path, refusal: Refusal
-) -> None:
+def test_with_force_nothing_is_moved_aside_before_all_is_checked(tmp_path, refusal):
     names = ("old", "old.mp4", "old.html", "old.gif", "old.md", "old.json", "file")
     for name in names:
         (tmp_path / name).write_text(name)

@@ -10,7 +10,6 @@ import pytest
 from baselines.cli import fields
 from baselines.cli.main import COMMANDS, main
 from mbn_marl import __version__
-from tests.baselines.conftest import Refusal
 from tests.support.pages import MBN
 
 
@@ -18,7 +17,7 @@ def missing(name: str) -> ModuleNotFoundError:
     return ModuleNotFoundError(f"No module named '{name}'", name=name)
 
 
-def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
+def test_version_and_help(capsys):
     assert main(["--version"]) == 0
     assert __version__ in capsys.readouterr().out
     for words in ([], ["--help"], ["-h"]):
@@ -29,7 +28,7 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
         assert max(map(len, lines)) <= 80
 
 
-def test_unknown_command_is_answered_with_a_known_one(refusal: Refusal) -> None:
+def test_unknown_command_is_answered_with_a_known_one(refusal):
     error = refusal(["trian"])
     assert "trian: " in error and "did you mean train?" in error
     assert "UTF-8" in refusal(["train", "\udc80"])
@@ -45,13 +44,7 @@ def test_unknown_command_is_answered_with_a_known_one(refusal: Refusal) -> None:
         (FileNotFoundError(2, "gone", "a.yaml"), 2, ["a.yaml: gone"]),
     ],
 )
-def test_command_ends_with_a_code_and_a_line(
-    raised: BaseException,
-    code: int,
-    parts: list[str],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_command_ends_with_a_code_and_a_line(raised, code, parts, monkeypatch, capsys):
     def run(command: object, command_line: str) -> None:
         raise raised
 
@@ -61,7 +54,7 @@ def test_command_ends_with_a_code_and_a_line(
     assert error.count("\n") == 1 and all(part in error for part in parts)
 
 
-def test_sigterm_ends_a_command_as_ctrl_c_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sigterm_ends_a_command_as_ctrl_c_does(monkeypatch):
     kill = partial(os.kill, os.getpid(), signal.SIGTERM)
     monkeypatch.setattr(fields.Fields, "run", lambda command, command_line: kill())
     assert main(["fields"]) == 130
@@ -69,7 +62,7 @@ def test_sigterm_ends_a_command_as_ctrl_c_does(monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", [["fields"], ["train", "--help"]])
-def test_reader_may_leave(words: list[str]) -> None:
+def test_reader_may_leave(words):
     with subprocess.Popen([*MBN, *words], stdout=-1, stderr=-1, text=True) as process:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()
@@ -90,12 +83,12 @@ def test_reader_may_leave(words: list[str]) -> None:
         ("plan field_03 y", "y"),
     ],
 )
-def test_wrong_option_is_named(words: str, place: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_option_is_named(words, place, capsys):
     assert main(words.split()) == 2 and place in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_of_every_command(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_of_every_command(name, capsys):
     assert main([name, "--help"]) == 0
     text = capsys.readouterr().out
     assert f"usage: mbn {name} " in text and ("--out" in text) == (" -o " in text)

@@ -9,13 +9,12 @@ from baselines.cli.plan import write_optimum
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field
 from mbn_marl.planning import Plan
-from tests.baselines.conftest import Refusal
 
 CATALOGUE = Path(__file__).parents[3] / "envs_catalog" / "field_03.yaml"
 
 
 @pytest.mark.parametrize("line", ["", "optimal_makespan: 99  # guessed\n", "optimal_makespan:\n"])
-def test_comments_and_layout_stay(line: str, tmp_path: Path) -> None:
+def test_comments_and_layout_stay(line, tmp_path):
     path = tmp_path / "field_03.yaml"
     rest = CATALOGUE.read_text().replace("optimal_makespan: 17\n", line) + "# the end\n"
     path.write_text(rest)
@@ -26,7 +25,7 @@ def test_comments_and_layout_stay(line: str, tmp_path: Path) -> None:
     assert "# the end" in kept and (("# guessed" in path.read_text()) == ("guessed" in line))
 
 
-def test_a_link_its_mode_and_its_ends_of_lines_stay(tmp_path: Path) -> None:
+def test_a_link_its_mode_and_its_ends_of_lines_stay(tmp_path):
     path, link = tmp_path / "field_03.yaml", tmp_path / "link.yaml"
     path.write_bytes(CATALOGUE.read_bytes().replace(b"\n", b"\r\n"))
     path.chmod(0o600)
@@ -37,7 +36,7 @@ def test_a_link_its_mode_and_its_ends_of_lines_stay(tmp_path: Path) -> None:
     assert path.read_bytes().count(b"\r\n") == CATALOGUE.read_bytes().count(b"\n")
 
 
-def test_a_file_without_lines_of_yaml_is_refused(tmp_path: Path) -> None:
+def test_a_file_without_lines_of_yaml_is_refused(tmp_path):
     path = tmp_path / "own.yaml"
     lists = "vertices: [[0, 0], [90, 0], [90, 90]], rois: [[50, 20]], starts: [[40, 10]]"
     path.write_text(f"{{format: mbn-field/1, {lists}}}")
@@ -47,9 +46,7 @@ def test_a_file_without_lines_of_yaml_is_refused(tmp_path: Path) -> None:
     assert path.read_text() == before
 
 
-def test_a_plan_that_is_not_proved_is_kept_but_not_in_the_field(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_that_is_not_proved_is_kept_but_not_in_the_field(tmp_path, monkeypatch, capsys):
     path, out = tmp_path / "own.yaml", tmp_path / "out"
     path.write_text(CATALOGUE.read_text())
     monkeypatch.setattr(Plan, "optimal", property(lambda found: False))
@@ -59,9 +56,7 @@ def test_a_plan_that_is_not_proved_is_kept_but_not_in_the_field(
 
 
 @pytest.mark.slow
-def test_an_optimum_is_written_from_the_plan_that_is_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refusal: Refusal
-) -> None:
+def test_an_optimum_is_written_from_the_plan_that_is_there(tmp_path, monkeypatch, refusal):
     path, out = tmp_path / "own.yaml", ["--out", str(tmp_path / "plan")]
     path.write_text(CATALOGUE.read_text().replace("optimal_makespan: 17\n", ""))
     assert main(["plan", str(path), *out]) == 0

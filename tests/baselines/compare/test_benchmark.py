@@ -34,7 +34,6 @@ from mbn_marl import Field
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import splits
 from mbn_marl.planning import plan
-from tests.baselines.conftest import Refusal
 from tests.support.frozen import write_split, write_splits
 
 pytestmark = pytest.mark.slow
@@ -110,7 +109,7 @@ def timeless(value: Any) -> Any:
     return [timeless(one) for one in value] if isinstance(value, list) else value
 
 
-def test_the_numbers_of_an_instance_worked_out_by_hand() -> None:
+def test_the_numbers_of_an_instance_worked_out_by_hand():
     lists = {"returns": [0.0] * 4, "rois_visited": [0] * 4}
     ends: dict[str, Any] = {
         "successes": [True, True, False, False],
@@ -136,7 +135,7 @@ def test_the_numbers_of_an_instance_worked_out_by_hand() -> None:
     assert ranks == sorted(ranks, reverse=True) and len({*ranks}) == 4
 
 
-def test_weights_are_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_weights_are_loaded_once(tmp_path, monkeypatch):
     loads = []
 
     def counted(folder: RunFolder) -> TrainedPolicy:
@@ -150,7 +149,7 @@ def test_weights_are_loaded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("source", ["random", "zoo:generalist-hint"])
-def test_each_instance_is_evaluated_with_its_own_seed(source: str, tmp_path: Path) -> None:
+def test_each_instance_is_evaluated_with_its_own_seed(source, tmp_path):
     found = run(source, ["1-convex", "5-weather"], tmp_path)["tiers"]
     for tier, first in (("1-convex", 4_000_000), ("5-weather", 4_004_000)):
         for k, one in enumerate(load_tiers("test", [tier])[tier]):
@@ -180,13 +179,11 @@ def test_each_instance_is_evaluated_with_its_own_seed(source: str, tmp_path: Pat
         (Shielded(RandomPolicy()), {}, "state"),
     ],
 )
-def test_what_a_policy_acts_on(policy: Policy, settings: dict[str, Any], word: str) -> None:
+def test_what_a_policy_acts_on(policy, settings, word):
     assert information_of(policy, settings, None) == word
 
 
-def test_an_interrupted_run_goes_on_and_gives_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_run_goes_on_and_gives_the_same(tmp_path, monkeypatch):
     tiers = ["1-convex", "2-sizes"]
     whole = run("greedy", tiers, tmp_path / "whole")
     calls, true = [], Source.make
@@ -221,9 +218,7 @@ def test_an_interrupted_run_goes_on_and_gives_the_same(
         ({"shield": True}, "shield: "),
     ],
 )
-def test_what_is_not_to_be_resumed_is_named(
-    damage: Any, place: str, tmp_path: Path, greedy: dict[str, Any]
-) -> None:
+def test_what_is_not_to_be_resumed_is_named(damage, place, tmp_path, greedy):
     record = {**greedy, **damage} if isinstance(damage, dict) else damage
     text = record if isinstance(record, str) else json.dumps(record)
     (tmp_path / "result.json").write_text(text)
@@ -231,7 +226,7 @@ def test_what_is_not_to_be_resumed_is_named(
         run("greedy", ["1-convex"], tmp_path, resume=True)
 
 
-def test_what_does_not_fit_has_no_number_and_says_why(tmp_path: Path) -> None:
+def test_what_does_not_fit_has_no_number_and_says_why(tmp_path):
     found = run("zoo:field_03", ["1-convex", "2-sizes"], tmp_path)
     assert found["tiers"]["1-convex"]["misfit"] is None
     misfit = found["tiers"]["2-sizes"]
@@ -243,7 +238,7 @@ def test_what_does_not_fit_has_no_number_and_says_why(tmp_path: Path) -> None:
     assert "Does not fit" in result_page(found, tmp_path)
 
 
-def test_policies_of_your_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_policies_of_your_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "small.py").write_text(OWN)
     with pytest.raises(RunError, match=r"2-sizes, convex-3000001: LookupError.*small\.py, line"):
@@ -260,7 +255,7 @@ def test_policies_of_your_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     check_settings(chosen, "noisy", load_protocol())
 
 
-def test_a_search_has_rows_and_prices_at_each_radius(tmp_path: Path) -> None:
+def test_a_search_has_rows_and_prices_at_each_radius(tmp_path):
     found = run("greedy-local", ["6-search"], tmp_path)
     rows = found["tiers"]["6-search"]["instances"]
     assert [row["comm_radius"] for row in rows] == ["0", "100", "inf"] * COUNT
@@ -280,19 +275,19 @@ def test_a_search_has_rows_and_prices_at_each_radius(tmp_path: Path) -> None:
     assert '"knowledge":{"empty":[' in result_page(found, tmp_path)
 
 
-def test_robots_of_two_kinds_pass_doors_by_turns(tmp_path: Path) -> None:
+def test_robots_of_two_kinds_pass_doors_by_turns(tmp_path):
     rows = run("greedy-local", ["7-passages"], tmp_path)["tiers"]["7-passages"]["instances"]
     assert [row["information"] for row in rows] == ["own"] * COUNT
     assert all(row["mean"]["success_rate"] == 1.0 and "comm_radius" not in row for row in rows)
 
 
-def test_the_radii_of_a_field_have_the_same_seed(tmp_path: Path) -> None:
+def test_the_radii_of_a_field_have_the_same_seed(tmp_path):
     rows = run("random", ["6-search"], tmp_path)["tiers"]["6-search"]["instances"]
     one, other = ([row["mean"] for row in rows[k : k + 3]] for k in (0, 3))
     assert one == one[:1] * 3 and other == other[:1] * 3 and one != other
 
 
-def test_what_the_tier_fixes_is_no_choice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_tier_fixes_is_no_choice(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "far.py").write_text(FAR)
     with pytest.raises(ConfigError, match="comm_loss: ") as error:
@@ -303,7 +298,7 @@ def test_what_the_tier_fixes_is_no_choice(tmp_path: Path, monkeypatch: pytest.Mo
     assert (settings["sensing_radius"], settings["comm_radius"]) == (100.0, 0.0)
 
 
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal: Refusal) -> None:
+def test_the_command(tmp_path, capsys, refusal):
     out = tmp_path / "out"
     words = ["benchmark", "greedy", "--tiers", "1-convex", "-o", str(out)]
     assert main(words) == 0

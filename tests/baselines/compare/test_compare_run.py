@@ -20,7 +20,7 @@ from tests.support.records import CONFIG, TINY
 pytestmark = pytest.mark.slow
 
 
-def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_comparison_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr("baselines.compare.report.write_episode", lambda *drawn: None)
     out = tmp_path / "comparison"
     second = out / CONFIG.runs()[1].name
@@ -62,9 +62,7 @@ def test_an_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.M
 WILD = {**TINY, "learning_rate": [1e30, 1e30], "max_grad_norm": 1e30}
 
 
-def test_a_learner_that_breaks_down_stops_its_own_run_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_learner_that_breaks_down_stops_its_own_run_alone(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("baselines.compare.report.write_episode", lambda *drawn: None)
     out, variants = tmp_path / "out", tmp_path / "variants.yaml"
     wild, tame = ({"algorithm": "mappo", "hyperparameters": values} for values in (WILD, TINY))
@@ -86,7 +84,7 @@ def test_a_learner_that_breaks_down_stops_its_own_run_alone(
     assert set(found["broken_runs"]) == {"wild-field_03-seed0", "wild-field_03-seed1"}
 
 
-def test_nothing_is_left_to_compare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_left_to_compare(tmp_path, monkeypatch):
     def diverge(config: TrainConfig, out: Path, **options: Any) -> RunFolder:
         raise DivergenceError("loc is nan")
 
@@ -95,7 +93,7 @@ def test_nothing_is_left_to_compare(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         train_all_runs(CONFIG, tmp_path / "none", command="mbn compare", processes=1)
 
 
-def test_only_the_same_comparison_goes_on(tmp_path: Path) -> None:
+def test_only_the_same_comparison_goes_on(tmp_path):
     out = tmp_path / "comparison"
     out.mkdir()
     with pytest.raises(RunError, match=str(out)):

@@ -2,8 +2,6 @@
 
 import io
 import json
-from pathlib import Path
-from typing import Any
 
 import pytest
 from pandas import DataFrame
@@ -26,7 +24,7 @@ from mbn_marl.field import Field, load_field, load_split
 from tests.support.records import make_run, make_runs
 
 
-def test_a_comparison_by_hand(tmp_path: Path) -> None:
+def test_a_comparison_by_hand(tmp_path):
     scores = {"field_01": (0.8, 0.5), "field_03": (1.0, 0.25)}
     records = []
     for field, pair in scores.items():
@@ -66,7 +64,7 @@ def test_a_comparison_by_hand(tmp_path: Path) -> None:
     assert len(runs) == 8
 
 
-def test_tables_and_files_hold_the_numbers(tmp_path: Path) -> None:
+def test_tables_and_files_hold_the_numbers(tmp_path):
     (tmp_path / "runs").mkdir()
     make_runs(tmp_path / "runs", {"mappo": [1.0, 0.5]})
     make_runs(tmp_path / "runs", {"mappo": [0.8, 0.8]}, label="other")
@@ -113,9 +111,7 @@ GUSTS = [{**WORLD, "gust": 0.2, "gust_time": time} for time in (5.0, 9.0)]
         ([{"seed": k, "field_object": "other"} for k in (0, 1)], ["fields: "] * 2),
     ],
 )
-def test_what_may_not_be_compared_is_refused_by_place(
-    changes: list[dict[str, Any]], places: list[str], tmp_path: Path
-) -> None:
+def test_what_may_not_be_compared_is_refused_by_place(changes, places, tmp_path):
     known = load_field("field_01")
     other = Field(known.vertices, known.rois[:1], known.starts, name="field_03")
     runs = [make_run(tmp_path, seed=seed) for seed in (0, 1)]
@@ -129,7 +125,7 @@ def test_what_may_not_be_compared_is_refused_by_place(
     assert all(map(str.startswith, problems, places))
 
 
-def test_labels_may_name_different_tasks(tmp_path: Path) -> None:
+def test_labels_may_name_different_tasks(tmp_path):
     plain = make_run(tmp_path)
     Results.of([plain, make_run(tmp_path, label="team", environment=TEAM)])  # sees other things
     lulls = [
@@ -145,7 +141,7 @@ def test_labels_may_name_different_tasks(tmp_path: Path) -> None:
     assert "no bound is proved" in comparison.verdict
 
 
-def test_only_finished_runs_are_compared(tmp_path: Path) -> None:
+def test_only_finished_runs_are_compared(tmp_path):
     run = make_run(tmp_path).run
     (run.path / "evaluation.json").unlink()
     with pytest.raises(RunError, match=r"evaluation\.json"):
@@ -156,7 +152,7 @@ def test_only_finished_runs_are_compared(tmp_path: Path) -> None:
         find_records([tmp_path / "empty"])
 
 
-def test_runs_on_random_fields_are_of_their_tier(tmp_path: Path) -> None:
+def test_runs_on_random_fields_are_of_their_tier(tmp_path):
     random = {"field": "random_convex", "algorithm": "mappo", "setting": "G"}
     runs = [make_run(tmp_path, seed=seed, tier="1-convex", **random) for seed in (0, 1)]
     left_out = make_run(tmp_path, tier="1-convex", **random).run
@@ -175,7 +171,7 @@ def test_runs_on_random_fields_are_of_their_tier(tmp_path: Path) -> None:
         Results.of(runs)
 
 
-def test_each_frozen_field_has_a_row_without_a_makespan_if_it_failed(tmp_path: Path) -> None:
+def test_each_frozen_field_has_a_row_without_a_makespan_if_it_failed(tmp_path):
     random = {"field": "random_convex", "algorithm": "mappo", "setting": "G"}
     run = make_run(tmp_path, tier="1-convex", **random).run
     found = run.evaluation
@@ -209,9 +205,7 @@ def test_each_frozen_field_has_a_row_without_a_makespan_if_it_failed(tmp_path: P
         ("evaluations.json", [0, "seconds"], "x"),
     ],
 )
-def test_an_entry_that_no_run_writes_is_named(
-    file: str, path: list[Any], value: Any, tmp_path: Path
-) -> None:
+def test_an_entry_that_no_run_writes_is_named(file, path, value, tmp_path):
     place = make_run(tmp_path).run.path / file
     content = json.loads(place.read_text())
     holder = content
@@ -226,7 +220,7 @@ def test_an_entry_that_no_run_writes_is_named(
     assert not path or str(path[-1]) in str(caught.value)
 
 
-def test_words_stay_in_their_cells() -> None:
+def test_words_stay_in_their_cells():
     words = ("a | b\n## c", "<img src=x>", r"\input{x}$^~")
     table = TextTable("c", ("x", "y", "z"), (words,), words=3)
     assert (
@@ -242,7 +236,7 @@ def test_words_stay_in_their_cells() -> None:
     assert csv_text(signs).splitlines() == rows
 
 
-def test_a_narrow_terminal_breaks_no_word() -> None:
+def test_a_narrow_terminal_breaks_no_word():
     out, headings = io.StringIO(), ("label", *(f"number {k}" for k in range(10)))
     table = TextTable("", headings, (("a-label", *(f"-{k},972,196" for k in range(10))),))
     table.print("a title", Console(width=80, file=out))
@@ -265,9 +259,7 @@ def test_a_narrow_terminal_breaks_no_word() -> None:
         ),
     ],
 )
-def test_the_result_in_words(
-    joint: list[float], mappo: list[float], words: str, tmp_path: Path
-) -> None:
+def test_the_result_in_words(joint, mappo, words, tmp_path):
     comparison = summarise(Results.of(make_runs(tmp_path, {"ppo-joint": joint, "mappo": mappo})))
     assert words in comparison.verdict
     caption = overall_tables(comparison)["Differences of SPL"].caption
@@ -276,7 +268,7 @@ def test_the_result_in_words(
     assert comparison.question.startswith(asked)
 
 
-def test_a_report_that_fails_leaves_nothing(tmp_path: Path) -> None:
+def test_a_report_that_fails_leaves_nothing(tmp_path):
     (tmp_path / "runs").mkdir()
     make_runs(tmp_path / "runs", {"mappo": [1.0, 0.5]})
     with pytest.raises(MbnError):  # these runs have no policy to draw
@@ -284,9 +276,7 @@ def test_a_report_that_fails_leaves_nothing(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["runs"]
 
 
-def test_a_folder_whose_name_ends_as_a_page_is_a_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_whose_name_ends_as_a_page_is_a_folder(tmp_path, monkeypatch):
     places: list[Place] = []
     results = Results.of(make_runs(tmp_path, {"mappo": [1.0, 0.5]}))
     monkeypatch.setattr("baselines.compare.run.train_all_runs", lambda *_, **how: results)
@@ -298,7 +288,7 @@ def test_a_folder_whose_name_ends_as_a_page_is_a_folder(
     assert places == [Place(tmp_path / "new.md" / "comparison.md", tmp_path / "new.md")]
 
 
-def test_the_result_changes_no_library_with_the_form(tmp_path: Path) -> None:
+def test_the_result_changes_no_library_with_the_form(tmp_path):
     scores = {"ppo": 0.95, "ppo-joint": 0.9, "mappo": 0.8}
     runs = make_runs(tmp_path, {name: [spl] * 5 for name, spl in scores.items()})
     assert "ppo-joint (centralized) is ahead of mappo" in summarise(Results.of(runs)).verdict

@@ -11,14 +11,14 @@ from baselines.compare import summary as stratified
 from mbn_marl.errors import MbnError
 
 
-def test_the_interquartile_mean_cuts_a_quarter_at_both_ends() -> None:
+def test_the_interquartile_mean_cuts_a_quarter_at_both_ends():
     # Eight runs: two go at each end, and 1, 2, 3, 4 stay. Of five runs one goes at each end.
     scores = np.array([[0.0, 100.0, 3.0, 9.0], [1.0, 4.0, 2.0, -50.0]])
     assert stratified.interquartile_mean(scores).mean == np.mean([1.0, 2.0, 3.0, 4.0])
     assert stratified.interquartile_mean(np.array([[9.0, 1.0, 2.0, 3.0, 70.0]])).mean == 14.0 / 3.0
 
 
-def test_the_worst_tenth_is_of_one_run_at_least() -> None:
+def test_the_worst_tenth_is_of_one_run_at_least():
     scores = np.arange(30.0)
     assert stratified.worst_tenth(scores.reshape(3, 10)) == 1.0
     assert stratified.worst_tenth(scores[:9].reshape(3, 3)) == 0.0
@@ -37,7 +37,7 @@ def test_the_worst_tenth_is_of_one_run_at_least() -> None:
         ([[0.25]], 0.25, None, None),
     ],
 )
-def test_an_interval_by_hand(scores: Any, value: float, low: float, high: float) -> None:
+def test_an_interval_by_hand(scores, value, low, high):
     ours = np.array(scores)
     found = stratified.difference(ours, np.zeros_like(ours))
     assert found == (value, *(end if end is None else pytest.approx(end) for end in (low, high)))
@@ -51,12 +51,12 @@ def test_an_interval_by_hand(scores: Any, value: float, low: float, high: float)
         ([[1.0, 2.0]], [[2.0, 1.0]], 1.0),
     ],
 )
-def test_labels_are_permuted_within_fields(ours: Any, theirs: Any, p_value: float) -> None:
+def test_labels_are_permuted_within_fields(ours, theirs, p_value):
     found = stratified.permutation_test(np.array(ours), np.array(theirs))
     assert found == pytest.approx(p_value, abs=0.02)
 
 
-def test_corrections_and_power_by_hand() -> None:
+def test_corrections_and_power_by_hand():
     assert stratified.holm([0.01, 0.04, 0.03, 0.9]) == pytest.approx([0.04, 0.09, 0.09, 0.9])
     # The variance of 0, 1 and 2 is 1, that of their mean 1/3, of the mean of two such fields 1/6.
     some = np.array([[0.0, 1.0, 2.0]] * 2)
@@ -71,7 +71,7 @@ def run(steps: Any, returns: Any) -> tuple[NDArray[np.float64], NDArray[np.float
     return np.array(steps, np.float64), np.array(returns, np.float64)
 
 
-def test_mean_and_band_by_hand() -> None:
+def test_mean_and_band_by_hand():
     # The bootstrap means of two seeds are low, half, high with odds 1/4, 1/2, 1/4.
     seeds = [run([0, 10, 20], [0, 10, 0]), run([5, 15, 30], [20, 30, 30])]
     steps, mean, low, high = curves.mean_and_band("a", seeds)

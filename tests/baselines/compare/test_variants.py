@@ -1,7 +1,5 @@
 """Variants of algorithms: from the command line, from a file, and as overrides."""
 
-from pathlib import Path
-
 import pytest
 
 from baselines.algorithms import find_algorithm
@@ -16,7 +14,7 @@ from mbn_marl.field import load_field, save_field
 AIDS = TrainingAids.model_fields.keys() - Hyperparameters.model_fields.keys()
 
 
-def test_overrides_are_read_and_written() -> None:
+def test_overrides_are_read_and_written():
     words = ["sharing=full+id", "model.gamma=0.9", "model.net=[8, 8]", "environment.wind=[0.1, 30]"]
     values = parse([*words, "rate=1e-05", 'name="3"', "on=true"])
     assert values == {
@@ -32,14 +30,14 @@ def test_overrides_are_read_and_written() -> None:
     assert parse(words_of(drawn)) == {"environment": {"mass": {"low": 1.0, "high": 2.0}}}
 
 
-def test_wrong_overrides_are_refused_by_place() -> None:
+def test_wrong_overrides_are_refused_by_place():
     cases = ("gamma", "model.=1", "a=1 a=2", "a=1 a.b=2", "environment=3")
     for words, place in zip(cases, ("gamma", "model.=1", "a=2", "a.b", "environment"), strict=True):
         with pytest.raises(ConfigError, match=f"{place}: | {place} "):
             parse(words.split())
 
 
-def test_variants_on_the_command_line_have_settings() -> None:
+def test_variants_on_the_command_line_have_settings():
     ppo, crossq = map(parse_variant, ["ppo", "crossq:A"])
     assert (ppo.name, crossq.name) == ("ppo", "crossq-A")
     assert crossq.training("field_03", 4, steps=9).name == "crossq-A-field_03-seed4"
@@ -50,7 +48,7 @@ def test_variants_on_the_command_line_have_settings() -> None:
         mappo.training("field_03", 0)
 
 
-def test_variants_in_a_file_have_labels(tmp_path: Path) -> None:
+def test_variants_in_a_file_have_labels(tmp_path):
     path = tmp_path / "study.yaml"
     path.write_text(
         "team: {algorithm: ippo, environment: {reward_sharing: team}}\n"
@@ -73,13 +71,13 @@ def test_variants_in_a_file_have_labels(tmp_path: Path) -> None:
         TrainConfig("ippo", "field_03", label="a/b")
 
 
-def test_two_fields_of_one_name_are_refused_before_training(tmp_path: Path) -> None:
+def test_two_fields_of_one_name_are_refused_before_training(tmp_path):
     save_field(load_field("field_03"), tmp_path / "mine.yaml")
     with pytest.raises(ConfigError, match="fields: two are named field_03"):
         CompareConfig(fields=("field_03", str(tmp_path / "mine.yaml")))
 
 
-def test_the_default_compares_like_with_like() -> None:
+def test_the_default_compares_like_with_like():
     config = CompareConfig()
     tasks = {run.shown_as: prepare(run) for run in config.runs()}
     forms = [find_algorithm(task.config.algorithm).form for task, _ in tasks.values()]
@@ -92,7 +90,7 @@ def test_the_default_compares_like_with_like() -> None:
     assert config.steps == 1_800_000
 
 
-def test_random_fields_need_a_tier() -> None:
+def test_random_fields_need_a_tier():
     mappo = (parse_variant("mappo:G"),)
     config = CompareConfig(mappo, ("random_convex",), tier="1-convex")
     assert config.steps == 7_000_000  # for up to 7 robots and 10 ROIs

@@ -1,7 +1,6 @@
 """Watching and driving in a window that nobody sees."""
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from baselines.policies.policy import RandomPolicy
 from mbn_marl import load_field
 from mbn_marl.episode import load_episode
 from mbn_marl.render import Viewer
-from tests.baselines.conftest import Refusal
 
 pytestmark = [pytest.mark.slow, pytest.mark.all]
 pygame = pytest.importorskip("pygame", reason="needs the extra [render]")
@@ -51,7 +49,7 @@ def still(max_steps: int = 6) -> LoadedPolicy:
     return LoadedPolicy("still", Still(), {"max_steps": max_steps}, load_field("field_03"))
 
 
-def test_a_person_drives_one_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_person_drives_one_robot(monkeypatch):
     right = pygame.K_RIGHT
     at_frames(monkeypatch, {1: (pygame.KEYDOWN, right), 3: (pygame.KEYUP, right)})
     (episode,) = watch(still(), **FAST, driven=1)
@@ -60,7 +58,7 @@ def test_a_person_drives_one_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     assert episode.source == "a person as robot 1, with still"
 
 
-def test_space_pauses_r_begins_anew_and_escape_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_space_pauses_r_begins_anew_and_escape_leaves(monkeypatch):
     down = pygame.KEYDOWN
     keys = {2: pygame.K_SPACE, 8: pygame.K_SPACE, 10: pygame.K_r, 14: pygame.K_ESCAPE}
     at_frames(monkeypatch, {frame: (down, key) for frame, key in keys.items()})
@@ -69,9 +67,7 @@ def test_space_pauses_r_begins_anew_and_escape_leaves(monkeypatch: pytest.Monkey
     assert second.steps == 3 and second.outcome == "unfinished"
 
 
-def test_the_commands_save_what_was_shown(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_commands_save_what_was_shown(tmp_path, capsys):
     out = tmp_path / "watched.json"
     quick = ("--episodes", "1", "--speed", "5000")
     wind = ("--wind", "0.1", "30")
@@ -83,9 +79,7 @@ def test_the_commands_save_what_was_shown(
     assert of_zoo("nowhere") == "random"
 
 
-def test_a_show_that_cannot_be_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refusal: Refusal
-) -> None:
+def test_a_show_that_cannot_be_is_refused(tmp_path, monkeypatch, refusal):
     (tmp_path / "recording.json").write_text('{"format": "mbn-episode/1"')
     for words, place in (
         ("watch recording.json", "mbn replay"),

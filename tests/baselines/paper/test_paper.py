@@ -16,7 +16,6 @@ from baselines.paper.trainings import find_trainings, first_reach, read_progress
 from baselines.runs.files import RunError, write_json
 from baselines.runs.folder import RunFolder
 from mbn_marl.field import load_field, save_field
-from tests.baselines.conftest import Refusal
 
 pytestmark = pytest.mark.slow
 
@@ -59,7 +58,7 @@ def cells(path: Path, *key: str) -> list[list[str]]:
     return [line[len(key) :] for line in lines if line[: len(key)] == list(key)]
 
 
-def test_a_cell_is_the_mean_sd_max_and_range_of_all_its_episodes(tmp_path: Path) -> None:
+def test_a_cell_is_the_mean_sd_max_and_range_of_all_its_episodes(tmp_path):
     # Episodes of 0, 1, 4 and -9 million: mean -1; squares 1 + 4 + 25 + 64, so SD sqrt(23.5).
     # Their moving means, a row each: 0.5, 0.5 and 5/3 in field_01, -9 in field_03.
     half = (2, 0.5e6, 0.5e6, 0.0, 1e6)
@@ -80,7 +79,7 @@ def test_a_cell_is_the_mean_sd_max_and_range_of_all_its_episodes(tmp_path: Path)
     assert [float(word) for word in shown] == pytest.approx(by_hand)
 
 
-def test_the_moving_mean_is_over_the_latest_hundred_episodes(tmp_path: Path) -> None:
+def test_the_moving_mean_is_over_the_latest_hundred_episodes(tmp_path):
     rows = [NOTHING, (60, 10, 0, 10, 10), (60, 20, 0, 20, 20), NOTHING, (100, 50, 0, 50, 50)]
     progress = read_progress(make_run(tmp_path, rows) / "progress.csv")
     begun = progress[progress.moving_mean.notna()]
@@ -91,7 +90,7 @@ def test_the_moving_mean_is_over_the_latest_hundred_episodes(tmp_path: Path) -> 
     assert np.isnan(first_reach(progress, 51.0))
 
 
-def test_missing_cells_say_so_and_setting_n_is_marked_as_ours(tmp_path: Path) -> None:
+def test_missing_cells_say_so_and_setting_n_is_marked_as_ours(tmp_path):
     make_run(tmp_path, [(1, 5e5, 0, 5e5, 5e5)], setting="N")
     page = report(tmp_path)
     heading = "| A paper | A here | B paper | B here | C paper | C here | N here, ours |"
@@ -104,7 +103,7 @@ def test_missing_cells_say_so_and_setting_n_is_marked_as_ours(tmp_path: Path) ->
     assert cells(table, "TQC", "A", "here", "single episodes") == [["1e6 reward", "", "", "", ""]]
 
 
-def test_rankings_are_compared_by_kendalls_tau(tmp_path: Path) -> None:
+def test_rankings_are_compared_by_kendalls_tau(tmp_path):
     # The paper under A: CrossQ, TRPO, PPO. Here PPO, CrossQ, TRPO: one pair of three agrees.
     for algorithm, mean in {"ppo": 3e6, "crossq": 2e6, "trpo": 1e6}.items():
         make_run(tmp_path, [(1, mean, 0, mean, mean)], algorithm=algorithm)
@@ -120,7 +119,7 @@ def test_rankings_are_compared_by_kendalls_tau(tmp_path: Path) -> None:
     assert lines[2][2:] == ("missing",) * 4
 
 
-def test_a_page_can_stand_beside_its_folder_with_notes_on_top(tmp_path: Path) -> None:
+def test_a_page_can_stand_beside_its_folder_with_notes_on_top(tmp_path):
     make_run(tmp_path / "runs", [(1, 0, 0, 0, 0)])
     notes = tmp_path / "notes.md"
     notes.write_text("CrossQ was not run.\n")
@@ -135,9 +134,7 @@ def test_a_page_can_stand_beside_its_folder_with_notes_on_top(tmp_path: Path) ->
     assert main(words) == 2, "nothing is overwritten"
 
 
-def test_a_report_holds_its_runs_for_the_next_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_report_holds_its_runs_for_the_next_one(tmp_path, capsys):
     file = tmp_path / "orchard.yaml"
     save_field(load_field("field_03"), file)
     good = (100, 123_456, 7, -28_524_165, 123_456)
@@ -165,9 +162,7 @@ def test_a_report_holds_its_runs_for_the_next_one(
         find_trainings([first])
 
 
-def test_comparisons_and_what_was_moved_aside_are_left_out(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_comparisons_and_what_was_moved_aside_are_left_out(tmp_path, capsys):
     run = make_run(tmp_path / "runs", [(1, 3e6, 0, 3e6, 3e6)])
     make_run(tmp_path / "old", [(1, 9e6, 0, 9e6, 9e6)]).rename(run.with_name(f"{run.name}.1"))
     demo = tmp_path / "runs" / "demo"
@@ -186,9 +181,7 @@ def test_comparisons_and_what_was_moved_aside_are_left_out(
     assert find_trainings([demo]).runs.seed.tolist() == [33, 34]
 
 
-def test_runs_that_are_not_their_settings_are_left_out(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_runs_that_are_not_their_settings_are_left_out(tmp_path, capsys):
     make_run(tmp_path, [(1, 3e6, 0, 3e6, 3e6)])
     for seed, changes in enumerate(
         (
@@ -207,7 +200,7 @@ def test_runs_that_are_not_their_settings_are_left_out(
         find_trainings([other])
 
 
-def test_of_two_runs_of_a_cell_the_finished_one_is_taken(tmp_path: Path) -> None:
+def test_of_two_runs_of_a_cell_the_finished_one_is_taken(tmp_path):
     killed = make_run(tmp_path / "a", [(1, 9e6, 0, 9e6, 9e6)], finished=False)
     whole = make_run(tmp_path / "b", [(1, 3e6, 0, 3e6, 3e6)])
     notes: list[str] = []
@@ -223,7 +216,7 @@ def test_of_two_runs_of_a_cell_the_finished_one_is_taken(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("kind", ["--comparison", "--paper"])
-def test_a_report_never_moves_its_runs_aside(kind: str, tmp_path: Path, refusal: Refusal) -> None:
+def test_a_report_never_moves_its_runs_aside(kind, tmp_path, refusal):
     run = make_run(tmp_path / "all" / "one", [(1, 0, 0, 0, 0)])
     for given in (run, run.parent):
         words = ["report", kind, str(given), "-o", str(run.parent), "--force"]
@@ -242,9 +235,7 @@ def test_a_report_never_moves_its_runs_aside(kind: str, tmp_path: Path, refusal:
         ("--paper old", "config.json"),
     ],
 )
-def test_wrong_input_is_refused_by_place(
-    words: str, place: str, tmp_path: Path, refusal: Refusal
-) -> None:
+def test_wrong_input_is_refused_by_place(words, place, tmp_path, refusal):
     for name in ("runs", "copy", "old"):
         run = make_run(tmp_path / name, [(1, 0, 0, 0, 0)])
     write_json(run / "config.json", {"algorithm": "ppo", "field": "field_01", "seed": 0})
@@ -262,9 +253,7 @@ def test_wrong_input_is_refused_by_place(
         ("2000,1,1,0", "2000,1,1,nan", "line 3"),
     ],
 )
-def test_progress_that_cannot_be_read_names_the_place(
-    old: str, new: str, place: str, tmp_path: Path
-) -> None:
+def test_progress_that_cannot_be_read_names_the_place(old, new, place, tmp_path):
     path = make_run(tmp_path, [(1, 0, 0, 0, 0)] * 2) / "progress.csv"
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(RunError, match=f"progress.csv.*{place}"):
@@ -272,7 +261,7 @@ def test_progress_that_cannot_be_read_names_the_place(
 
 
 @pytest.mark.parametrize("rows", [[], [NOTHING]], ids=["no row yet", "no episode yet"])
-def test_a_run_without_an_ended_episode_is_missing(rows: list[Row], tmp_path: Path) -> None:
+def test_a_run_without_an_ended_episode_is_missing(rows, tmp_path):
     make_run(tmp_path, rows, finished=False)
     runs = find_trainings([tmp_path])
     assert tables.coverage(runs).lines[1][1] == f"1 x {len(rows)}k, 1 unfinished"

@@ -51,7 +51,7 @@ class Sharing(Honest):
 
 
 @pytest.mark.parametrize(("made", "same"), [(Honest, True), (Peeking, False), (Sharing, False)])
-def test_who_uses_more_than_a_robot_has_is_found_out(made: type, same: bool) -> None:
+def test_who_uses_more_than_a_robot_has_is_found_out(made, same):
     policies = [OwnPolicy("tests:made", made, None) for _ in range(2)]
     team, robots = policies[0], Alone(policies[1], 3)
     for episode in (SEEN, SEEN + 1.0):
@@ -62,7 +62,7 @@ def test_who_uses_more_than_a_robot_has_is_found_out(made: type, same: bool) -> 
         assert np.array_equal(*acts) == same
 
 
-def test_each_robot_has_its_network() -> None:
+def test_each_robot_has_its_network():
     torch.manual_seed(0)
     shape = TeamShape(obs_size=7, n_robots=3, hidden=(8,), sharing="none")
     network = GaussianPolicy(shape)
@@ -78,7 +78,7 @@ def test_each_robot_has_its_network() -> None:
         Alone(TeamPolicy(GaussianPolicy(joint)), 3)
 
 
-def test_a_network_over_sets_knows_the_size_of_its_team() -> None:
+def test_a_network_over_sets_knows_the_size_of_its_team():
     team = load_trained(open_run("zoo:generalist"))
     engine = BatchEngine("field_03", 2, threads=1, **{**OWN, "observation": "entities"})
     robots, seen = team.fit(engine), engine.reset()
@@ -88,7 +88,7 @@ def test_a_network_over_sets_knows_the_size_of_its_team() -> None:
 
 
 @pytest.mark.parametrize("observation", ["local", "lidar_local", "entities"])
-def test_behind_the_shield_each_robot_keeps_away_by_its_row_alone(observation: str) -> None:
+def test_behind_the_shield_each_robot_keeps_away_by_its_row_alone(observation):
     own = {**OWN, "observation": observation, "max_steps": 200}
     assert any(evaluate(RandomPolicy(), "field_03", own, episodes=20).collisions)
     found = evaluate(Shielded(RandomPolicy()), "field_03", own, episodes=20)
@@ -102,7 +102,7 @@ def test_behind_the_shield_each_robot_keeps_away_by_its_row_alone(observation: s
     np.testing.assert_array_equal(np.concatenate(alone, 1), shield.act(actions, rows))
 
 
-def test_an_engine_of_own_knowledge_wants_robots_alone() -> None:
+def test_an_engine_of_own_knowledge_wants_robots_alone():
     engine = BatchEngine("field_03", 1, threads=1, **OWN)
     assert isinstance(Policy().fit(engine), Alone)
     assert isinstance(Shielded(Policy()).fit(engine).policy, Alone)

@@ -1,7 +1,6 @@
 """Policies without learning, and their commands."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from mbn_marl.config import Failures, make_config
 from mbn_marl.episode import check_episode, load_episode
 from mbn_marl.errors import ConfigError
 from mbn_marl.planning import plan
-from tests.baselines.conftest import Refusal
 
 pytestmark = pytest.mark.slow
 FIELD = load_field("field_03")
@@ -27,13 +25,13 @@ FIELD = load_field("field_03")
 @pytest.mark.parametrize(
     ("name", "makespan"), [("greedy", 22), ("planner", 17), ("replan", 17), ("open-loop", 17)]
 )
-def test_classical_policies(name: str, makespan: int) -> None:
+def test_classical_policies(name, makespan):
     summary = evaluate(make_classical(name, FIELD, {}), FIELD, {}, episodes=3).summary()
     assert (summary["success_rate"], summary["wall_hits"]) == (1.0, 0.0)
     assert 17.0 <= summary["makespan"] <= makespan + (name == "greedy")
 
 
-def test_they_leave_out_the_empty_rois() -> None:
+def test_they_leave_out_the_empty_rois():
     own: dict[str, Any] = {"observation": "entities", "knowledge": "own", "decoys": 3}
     engine = BatchEngine(FIELD, 3, seed=4, autoreset=False, **own)
     engine.reset()
@@ -46,7 +44,7 @@ def test_they_leave_out_the_empty_rois() -> None:
 
 
 @pytest.mark.parametrize(("name", "field"), [("open-loop", "field_04"), ("blind", "field_03")])
-def test_actions_of_another_field_and_of_blind_robots_fail(name: str, field: str) -> None:
+def test_actions_of_another_field_and_of_blind_robots_fail(name, field):
     policy, where = make_classical(name, load_field(field), LOCAL), {**LOCAL, "max_steps": 200}
     assert evaluate(policy, FIELD, where, episodes=1).successes == [False]
 
@@ -56,7 +54,7 @@ LOCAL: dict[str, Any] = {"observation": "lidar_local", "knowledge": "own", "comm
 
 @pytest.mark.parametrize("field", ["field_03", "field_09"])  # field_09 has corners to go round
 @pytest.mark.parametrize("change", [{}, {"hidden_rois": True, "sensing_radius": 50.0}], ids=str)
-def test_greedy_local_acts_on_each_robots_row_alone(field: str, change: dict[str, Any]) -> None:
+def test_greedy_local_acts_on_each_robots_row_alone(field, change):
     place, settings = load_field(field), {**LOCAL, **change}
     team, alone = (make_classical("greedy-local", place, settings) for _ in range(2))
     engine = BatchEngine(place, 2, **settings)
@@ -81,9 +79,7 @@ FAULTS = tuple({"failures": Failures(at={i: t})} for i, t in ((0, 5), (1, 8), (2
 
 @pytest.mark.parametrize(("name", "most"), [("greedy", 36), ("replan", 31)])
 @pytest.mark.parametrize("worlds", [WINDS, FAULTS], ids=["windy", "failing"])
-def test_a_policy_finds_out_what_each_of_its_worlds_is_like(
-    name: str, most: int, worlds: tuple[dict[str, Any], ...]
-) -> None:
+def test_a_policy_finds_out_what_each_of_its_worlds_is_like(name, most, worlds):
     policy = make_classical(name, FIELD, worlds[0])
     engines = [BatchEngine(FIELD, 1, autoreset="disabled", **world) for world in worlds]
     for engine in engines:
@@ -98,9 +94,7 @@ def test_a_policy_finds_out_what_each_of_its_worlds_is_like(
     assert [engine.snapshot().success for engine in engines] == [True] * len(worlds)
 
 
-def test_mbn_plan_prints_draws_and_saves(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_mbn_plan_prints_draws_and_saves(tmp_path, capsys):
     out = tmp_path / "plan"
     assert main(["plan", "field_03", "-o", str(out)]) == 0
     printed = capsys.readouterr().out
@@ -121,9 +115,7 @@ def test_mbn_plan_prints_draws_and_saves(
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_mbn_evaluate_takes_classical_policies(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_mbn_evaluate_takes_classical_policies(tmp_path, capsys):
     out = tmp_path / "result.json"
     words = ["--field", "field_03", "--episodes", "2", "--json", str(out)]
     assert main(["evaluate", "planner", *words]) == 0
@@ -173,9 +165,7 @@ class Pusher(Policy):
     [(SLOT, {}), (YARD, {"wind": (0.2, 200.0)}), (YARD, FAILURES)],
     ids=["slot", "windy", "failing"],
 )
-def test_a_team_that_pushes_against_walls_and_robots_does_not_touch_them(
-    field: Field, settings: dict[str, Any]
-) -> None:
+def test_a_team_that_pushes_against_walls_and_robots_does_not_touch_them(field, settings):
     world = {**settings, "max_steps": 300}
     bare = evaluate(Pusher(field), field, world, episodes=2)
     assert any(bare.collisions) and any(bare.wall_hits)
@@ -184,7 +174,7 @@ def test_a_team_that_pushes_against_walls_and_robots_does_not_touch_them(
     assert min(shielded.steps) > max(bare.steps)
 
 
-def test_a_policy_that_brakes_itself_acts_as_without() -> None:
+def test_a_policy_that_brakes_itself_acts_as_without():
     field = load_field("field_03")
     alone = record_episode(make_classical("greedy", field, {}), field, {})
     policy = Shielded(make_classical("greedy", field, {}))
@@ -201,7 +191,7 @@ class Trained(Policy):
         return np.full((len(seen), 3, 2), 0.1, np.float32)
 
 
-def test_a_trained_policy_is_fitted_behind_the_shield() -> None:
+def test_a_trained_policy_is_fitted_behind_the_shield():
     policy, engine = Trained(), BatchEngine(YARD, 2, threads=1, **FAILURES)
     shown = engine.reset()
     actions = Shielded(policy).fit(engine).act_in(engine, shown)
@@ -211,7 +201,7 @@ def test_a_trained_policy_is_fitted_behind_the_shield() -> None:
         Shielded(policy).fit(BatchEngine(YARD, 1, threads=1, n_robots=2))
 
 
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], refusal: Refusal) -> None:
+def test_the_command(tmp_path, capsys, refusal):
     words = ["evaluate", "random", "--field", "field_03", "--episodes", "2", "--shield"]
     out = tmp_path / "out.json"
     assert main([*words, "--json", str(out)]) == 0

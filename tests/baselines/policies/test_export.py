@@ -2,7 +2,6 @@
 
 import json
 import sys
-from pathlib import Path
 
 import numpy as np
 import onnx
@@ -17,15 +16,11 @@ from baselines.policies.loaded import LoadedPolicy
 from mbn_marl import parallel_env
 from mbn_marl.errors import MbnError
 from mbn_marl.field import generate, save_field
-from tests.baselines.conftest import Refusal
-from tests.support.runs import TinyRuns
 
 pytestmark = pytest.mark.slow
 
 
-def test_a_file_acts_as_the_policy_from_raw_observations(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_acts_as_the_policy_from_raw_observations(tmp_path, capfd):
     path = tmp_path / "policy.onnx"
     assert main(["export", "zoo:field_07", "-o", str(path)]) == 0
     said = capfd.readouterr()
@@ -60,9 +55,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_every_kind_of_network_acts_as_its_file(
-    name: str, tmp_path: Path, tiny_runs: TinyRuns
-) -> None:
+def test_every_kind_of_network_acts_as_its_file(name, tmp_path, tiny_runs):
     policy = load_policy(name if name in ZOO else tiny_runs.finished(name).path, "field_03")
     metadata, _ = export_policy(policy, tmp_path / "policy.onnx")
     random, shape = np.random.default_rng(1), (50, *metadata["shape"][1:])
@@ -77,9 +70,7 @@ def test_every_kind_of_network_acts_as_its_file(
     assert len(np.unique(actions)) > 10
 
 
-def test_what_cannot_be_exported_is_named(
-    refusal: Refusal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_what_cannot_be_exported_is_named(refusal, monkeypatch, tmp_path):
     (tmp_path / "taken.onnx").touch()
     save_field(generate("convex", 1, robots=2), tmp_path / "two.yaml")
     for words, place in (
@@ -97,9 +88,7 @@ def test_what_cannot_be_exported_is_named(
         assert package in error and ".[export]" in error
 
 
-def test_a_file_that_acts_otherwise_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_acts_otherwise_is_refused(tmp_path, monkeypatch):
     true = LoadedPolicy.act
     monkeypatch.setattr(LoadedPolicy, "act", lambda self, seen: true(self, seen) + 2e-4)
     with pytest.raises(MbnError, match=r"policy\.onnx"):

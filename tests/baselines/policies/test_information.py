@@ -1,7 +1,5 @@
 """The information that a policy acts on."""
 
-from typing import Any
-
 import pytest
 
 from baselines.policies.information import information
@@ -21,7 +19,5 @@ from baselines.policies.information import information
         ({"observation": "entities", "assignment": "fresh"}, False, "assignment"),
     ],
 )
-def test_what_a_policy_sees_has_a_name(
-    settings: dict[str, Any], centralized: bool, seen: str
-) -> None:
+def test_what_a_policy_sees_has_a_name(settings, centralized, seen):
     assert information(settings, centralized=centralized) == seen

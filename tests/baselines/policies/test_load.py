@@ -53,9 +53,7 @@ PICTURES = (*PLANNER, "matplotlib", "pygame", "PIL")
         ("evaluate zoo:field_03", ("torch",), "'torch'"),
     ],
 )
-def test_commands_need_no_other_extras(
-    command: str, absent: tuple[str, ...], missing: str, tmp_path: Path
-) -> None:
+def test_commands_need_no_other_extras(command, absent, missing, tmp_path):
     program = WITHOUT % (absent, command.split())
     run = subprocess.run(
         [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True
@@ -65,7 +63,7 @@ def test_commands_need_no_other_extras(
     assert ("No module" in run.stderr) == (".[baselines]" in run.stderr) == (absent == ("torch",))
 
 
-def test_a_policy_of_the_zoo_acts_as_in_an_evaluation() -> None:
+def test_a_policy_of_the_zoo_acts_as_in_an_evaluation():
     run = open_run("zoo:field_07")
     evaluated = record_episode(load_trained(run), run.field, run.config["environment"])
     policy = load_policy("zoo", "field_07")
@@ -88,7 +86,7 @@ def test_a_policy_of_the_zoo_acts_as_in_an_evaluation() -> None:
 
 
 @pytest.mark.parametrize("name", ["greedy", "planner"])
-def test_policies_on_the_state_take_it_and_begin_again(name: str) -> None:
+def test_policies_on_the_state_take_it_and_begin_again(name):
     field = load_field("field_03")
     evaluated = record_episode(make_classical(name, field, LIDAR), field, LIDAR)
     policy = load_policy(name, "field_03", **LIDAR)
@@ -106,7 +104,7 @@ def test_policies_on_the_state_take_it_and_begin_again(name: str) -> None:
     assert not env.agents
 
 
-def test_wrong_observations_and_sources_are_refused_by_place(tmp_path: Path) -> None:
+def test_wrong_observations_and_sources_are_refused_by_place(tmp_path):
     policy = load_policy("zoo:field_07")
     with pytest.raises(ConfigError, match=r"zoo:field_07.*\n.*\(2, 3, 30\)"):
         policy.act(np.zeros((2, 3, 30)))
@@ -157,7 +155,7 @@ def function(field):
 """
 
 
-def test_a_policy_of_ones_own(write: Write) -> None:
+def test_a_policy_of_ones_own(write):
     module = write(OWN)
     policy = load_policy(f"{module}:Counting", "field_03", max_steps=3)
     assert policy.settings == {"observation": "lidar", "max_steps": 3}
@@ -187,7 +185,7 @@ def flat(field): return lambda observations: observations[..., 0]
 """
 
 
-def test_mistakes_in_ones_own_are_listed(write: Write) -> None:
+def test_mistakes_in_ones_own_are_listed(write):
     module = write(BAD)
     for name, places in (
         ("Bad", ["act", "observes", "max_steps", "obsevation"]),
@@ -234,13 +232,13 @@ def refused(policy: Policy, field: Field, settings: dict[str, Any]) -> list[str]
     named = []
     for run in (evaluate, record_episode):
         with pytest.raises(ConfigError) as caught:
-            run(policy, field, settings)  # type: ignore[operator]
+            run(policy, field, settings)
         named.append([problem.partition(":")[0] for problem in caught.value.problems])
     assert named[0] == named[1]
     return named[0]
 
 
-def test_all_that_differs_is_named_at_once() -> None:
+def test_all_that_differs_is_named_at_once():
     one_robot = {"n_robots": 1, "observation": "lidar"}
     seen = ["robots", "ROIs", "arena", "observation"]
     for policy, field, settings, named in (
@@ -261,7 +259,7 @@ def test_all_that_differs_is_named_at_once() -> None:
 
 
 @pytest.mark.parametrize("observes", ["observations", "state"])
-def test_entries_that_a_policy_was_not_trained_with_are_not_shown_to_it(observes: Observes) -> None:
+def test_entries_that_a_policy_was_not_trained_with_are_not_shown_to_it(observes):
     engine = BatchEngine(HOME, 1, **SHOWN)
     engine.reset()
     if observes == "state":
@@ -280,7 +278,7 @@ def test_entries_that_a_policy_was_not_trained_with_are_not_shown_to_it(observes
 
 
 @pytest.mark.parametrize("observes", ["observations", "state"])
-def test_flags_of_failed_robots_are_zero_where_none_can_fail(observes: Observes) -> None:
+def test_flags_of_failed_robots_are_zero_where_none_can_fail(observes):
     turning: dict[str, Any] = {"dynamics": SHOWN["dynamics"]}
     failing = turning | {"failures": SHOWN["failures"]}
     engine, wanted = BatchEngine(HOME, 1, **turning), BatchEngine(HOME, 1, **failing)
@@ -296,7 +294,7 @@ def test_flags_of_failed_robots_are_zero_where_none_can_fail(observes: Observes)
     assert trained.seen is not None and np.array_equal(trained.seen, expected)
 
 
-def test_a_condition_replaces_weather_and_failures_but_not_the_robots() -> None:
+def test_a_condition_replaces_weather_and_failures_but_not_the_robots():
     trained = {"wind": (0.1, 30.0), "dynamics": "unicycle", "failures": {"rate": 0.1}, "tau": 2.0}
     assert merge_settings(trained, None) == trained
     assert merge_settings(trained, "calm") == {"dynamics": "unicycle", "tau": 2.0}

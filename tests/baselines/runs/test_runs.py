@@ -25,10 +25,10 @@ from baselines.runs.tensors import read_tensors, write_tensors
 from baselines.training.run_logger import BEST
 from baselines.training.train import train
 from mbn_marl.field import load_field
-from tests.support.runs import TinyRuns, small_config
+from tests.support.runs import small_config
 
 
-def test_a_folder_is_claimed_without_loss(tmp_path: Path) -> None:
+def test_a_folder_is_claimed_without_loss(tmp_path):
     folder = tmp_path / "run"
     for content in ("first", "second"):
         assert claim_folder(folder, force=True) == folder
@@ -57,7 +57,7 @@ def test_a_folder_is_claimed_without_loss(tmp_path: Path) -> None:
     assert (tmp_path / "run.3" / "inner").is_dir()
 
 
-def test_a_second_process_is_refused(tmp_path: Path) -> None:
+def test_a_second_process_is_refused(tmp_path):
     code = (
         "import sys, pathlib; from baselines.runs.files import alone\n"
         f"with alone(pathlib.Path({str(tmp_path)!r}), 'mbn train'):\n"
@@ -81,9 +81,7 @@ def test_a_second_process_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("code", ["ENOSYS", "ENOLCK", "EOPNOTSUPP"])
-def test_a_drive_without_locks_is_used(
-    code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_drive_without_locks_is_used(code, tmp_path, monkeypatch):
     def flock(*_: Any) -> None:
         raise OSError(getattr(errno, code), code)
 
@@ -93,7 +91,7 @@ def test_a_drive_without_locks_is_used(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_records_field_command_versions_and_progress(tmp_path: Path) -> None:
+def test_a_run_records_field_command_versions_and_progress(tmp_path):
     field = load_field("field_07")
     run = RunFolder.create(tmp_path / "run", {"algorithm": "ppo"}, field, "mbn train it")
     assert run.field == field
@@ -120,9 +118,7 @@ class Evil:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["mappo", "ppo"])
-def test_a_file_that_is_cut_off_or_a_pickle_is_named(
-    name: str, tmp_path: Path, tiny_runs: TinyRuns
-) -> None:
+def test_a_file_that_is_cut_off_or_a_pickle_is_named(name, tmp_path, tiny_runs):
     trap = tmp_path / "pwned"
     run = RunFolder(shutil.copytree(tiny_runs.finished(name).path, tmp_path / "finished"))
     stopped: Any = tiny_runs.stopped(name, tmp_path / "stopped")
@@ -147,7 +143,7 @@ def test_a_file_that_is_cut_off_or_a_pickle_is_named(
         train(small_config(name), stopped.path, resume=True)
 
 
-def test_an_archive_that_is_no_file_of_a_run_is_named(tmp_path: Path) -> None:
+def test_an_archive_that_is_no_file_of_a_run_is_named(tmp_path):
     place = tmp_path / "arrays.npz"
     write_arrays(place, {"a": np.arange(3)})
     assert read_arrays(place)["a"].tolist() == [0, 1, 2]
@@ -174,7 +170,7 @@ def test_an_archive_that_is_no_file_of_a_run_is_named(tmp_path: Path) -> None:
     assert not (tmp_path / "pwned").exists()
 
 
-def test_a_link_in_a_run_folder_is_refused(tmp_path: Path) -> None:
+def test_a_link_in_a_run_folder_is_refused(tmp_path):
     (tmp_path / "config.json").touch()
     for place in ("progress.csv", "policy/policy.json", "tensorboard/events"):
         (tmp_path / place).parent.mkdir(exist_ok=True)
@@ -228,9 +224,7 @@ READERS: dict[str, Any] = {".json": read_json, ".npz": read_arrays, ".safetensor
 
 
 @pytest.mark.parametrize(("name", "file", "change"), EDITS)
-def test_an_edited_file_is_refused(
-    name: str, file: str, change: Callable[[Any], Any], tmp_path: Path, tiny_runs: TinyRuns
-) -> None:
+def test_an_edited_file_is_refused(name, file, change, tmp_path, tiny_runs):
     of_policy = file.startswith("policy.")
     if of_policy:
         run = RunFolder(shutil.copytree(tiny_runs.finished(name).path, tmp_path / "run"))

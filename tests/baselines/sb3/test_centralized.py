@@ -34,7 +34,7 @@ CATALOGUE = Path(__file__).parents[3] / "envs_catalog"
 NAMES = [name for name, entry in ALGORITHMS.items() if "A" in entry.settings]
 
 
-def test_every_setting_trains_from_the_command_line(tmp_path: Path) -> None:
+def test_every_setting_trains_from_the_command_line(tmp_path):
     configs: dict[str, dict[str, Any]] = {}
     for setting, words in (("A", "field_01"), ("B", "field_03 --num-envs 2"), ("N", "field_03")):
         out = tmp_path / setting
@@ -52,7 +52,7 @@ def test_every_setting_trains_from_the_command_line(tmp_path: Path) -> None:
     assert configs["B"]["num_envs"] == 2 and len(configs["B"]["model"]) == 6
 
 
-def test_what_the_paper_tuned_is_taken_or_skipped(tmp_path: Path) -> None:
+def test_what_the_paper_tuned_is_taken_or_skipped(tmp_path):
     values = {**dict.fromkeys(TUNED_IN_PAPER, 0.5), "buffer_size": 5}
     for name in NAMES:
         config = load(name, "A", {"model": values})
@@ -70,7 +70,7 @@ def test_what_the_paper_tuned_is_taken_or_skipped(tmp_path: Path) -> None:
     assert (found.model, found.skipped) == ({"gamma": 0.5}, {"buffer_size": 7})
 
 
-def test_a_wrong_hyperparameter_file_is_refused_by_place(tmp_path: Path) -> None:
+def test_a_wrong_hyperparameter_file_is_refused_by_place(tmp_path):
     path, out = tmp_path / "mine.yaml", tmp_path / "run"
     for text, place in (
         ("A: {}", "N: "),
@@ -95,9 +95,7 @@ def test_a_wrong_hyperparameter_file_is_refused_by_place(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     "name", ["a2c", "ars", "tqc", pytest.param("crossq", marks=pytest.mark.all)]
 )
-def test_transferred_learner_begins_with_the_policy_of_its_source(
-    name: str, tmp_path: Path
-) -> None:
+def test_transferred_learner_begins_with_the_policy_of_its_source(name, tmp_path):
     small: dict[str, Any] = {"normalize_observation": name == "a2c"}
     if name in ("crossq", "tqc"):
         small["model"] = {"policy_kwargs": {"net_arch": [8]}, "batch_size": 8}
@@ -127,9 +125,7 @@ def test_transferred_learner_begins_with_the_policy_of_its_source(
     assert model.num_timesteps >= 30
 
 
-def test_transfer_goes_from_one_field_to_others(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_transfer_goes_from_one_field_to_others(tmp_path, capsys):
     out, custom = tmp_path / "runs", shutil.copy(CATALOGUE / "field_07.yaml", tmp_path)
     tiny = ["--episodes", "1", "--out", str(out), "--steps"]
     command = ["transfer", "a2c", "--fields", "field_02", str(custom), *tiny]
@@ -156,7 +152,7 @@ def test_transfer_goes_from_one_field_to_others(
     assert not (out / "a2c-C-field_03-seed33").exists()
 
 
-def test_only_a_finished_policy_of_the_same_learner_is_taken_over(tmp_path: Path) -> None:
+def test_only_a_finished_policy_of_the_same_learner_is_taken_over(tmp_path):
     path, out = tmp_path / "source", tmp_path / "moved"
     train(TrainConfig("a2c", "field_01", "A", steps=5, episodes=1), path)
     budget: dict[str, Any] = {"steps": 5, "episodes": 1, "transferred_from": path}
@@ -202,7 +198,7 @@ def config_of(name: str, **changes: Any) -> TrainConfig:
 
 @pytest.mark.usefixtures("two_stages")
 @pytest.mark.parametrize("kind", [CentralizedVecEnv, SharedPolicyVecEnv])
-def test_change_of_size_truncates_the_episodes_that_run(kind: type[NavigationVecEnv]) -> None:
+def test_change_of_size_truncates_the_episodes_that_run(kind):
     made: list[NavigationVecEnv] = []
 
     def make(curriculum: RoiCurriculum) -> NavigationVecEnv:
@@ -239,9 +235,7 @@ def test_change_of_size_truncates_the_episodes_that_run(kind: type[NavigationVec
 
 @pytest.mark.usefixtures("two_stages")
 @pytest.mark.parametrize("name", ["ppo", "ppo-shared"])
-def test_rois_become_smaller_over_the_budget(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rois_become_smaller_over_the_budget(name, tmp_path, monkeypatch):
     monkeypatch.setattr(run_logger, "ROW_STEPS", 1)
     config = config_of(name)
     run = train(config, tmp_path / "run")
@@ -255,7 +249,7 @@ def test_rois_become_smaller_over_the_budget(
     assert min(run.evaluation["deterministic"]["per_episode"]["steps"]) > 24
 
 
-def test_policy_of_all_robots_observations_is_kept_and_evaluated(tmp_path: Path) -> None:
+def test_policy_of_all_robots_observations_is_kept_and_evaluated(tmp_path):
     run = train(config_of("ppo", joint_observation=True), tmp_path / "run")
     policy = load_trained(run)
     assert policy.observes == "observations"
@@ -266,7 +260,7 @@ def test_policy_of_all_robots_observations_is_kept_and_evaluated(tmp_path: Path)
         evaluate(policy, run.field, {"observation": "lidar"}, **how)
 
 
-def test_other_learners_refuse_aids() -> None:
+def test_other_learners_refuse_aids():
     aids = {"roi_radius": 2.0, "scattered": 0.5, "episode_steps": 5}
     for name in ("ars", "tqc"):
         with pytest.raises(ConfigError) as caught:
@@ -278,7 +272,7 @@ def test_other_learners_refuse_aids() -> None:
 
 
 @pytest.mark.parametrize("name", ["a2c", "ars"])
-def test_evaluation_is_of_the_policy_after_the_update(name: str, tmp_path: Path) -> None:
+def test_evaluation_is_of_the_policy_after_the_update(name, tmp_path):
     how: dict[str, Any] = {"evaluate_every": 100, "episodes": 1}
     how |= {"hyperparameters": {"model": {"learning_rate": 1.0}}, "environment": {"max_steps": 50}}
     runs = [
@@ -293,7 +287,7 @@ def test_evaluation_is_of_the_policy_after_the_update(name: str, tmp_path: Path)
 ROBOTS = 3
 
 
-def test_learner_sees_scaled_rewards_and_the_window_true_team_returns() -> None:
+def test_learner_sees_scaled_rewards_and_the_window_true_team_returns():
     changes: dict[str, Any] = {"num_envs": 2, "normalize_observation": False}
     rows = []
     for settings in ({"max_steps": 2}, {"roi_radius": 1000.0}):

@@ -24,9 +24,7 @@ from tests.support.runs import recorded, same_policies
 pytestmark = pytest.mark.slow
 
 
-def test_runs_are_those_of_mbn_train_and_are_made_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_runs_are_those_of_mbn_train_and_are_made_once(tmp_path, capsys):
     path, store = tmp_path / "grid.yaml", tmp_path / "runs"
     changes = {"settings": ["C"], "set": {"model.learning_rate": [0.01]}}
     path.write_text(yaml.safe_dump({"store": str(store), **TINY, **changes}))
@@ -53,9 +51,7 @@ def test_runs_are_those_of_mbn_train_and_are_made_once(
         run_here(changed)
 
 
-def test_a_run_that_another_process_trains_is_left_to_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_another_process_trains_is_left_to_it(tmp_path, monkeypatch):
     monkeypatch.setattr(sweep, "PATIENCE", 0.1)
     spec = spec_of(tmp_path, seeds=[0, 1])
     held, free = (tmp_path / run.name for run in runs_of(spec))
@@ -68,7 +64,7 @@ def test_a_run_that_another_process_trains_is_left_to_it(
     assert train_in_store(TrainJob(source, tmp_path), print).state == "failed"
 
 
-def test_runs_that_begin_with_a_policy_of_the_zoo_are_resumed(tmp_path: Path) -> None:
+def test_runs_that_begin_with_a_policy_of_the_zoo_are_resumed(tmp_path):
     smallest = {"num_worlds": 8, "rollout_steps": 2, "minibatches": 1, "memory": 2}
     how: dict[str, Any] = {"steps": 32, "episodes": 1, "transferred_from": Path("zoo:generalist")}
     run = TrainConfig("mappo", "field_03", "G", hyperparameters=smallest, **how)
@@ -78,7 +74,7 @@ def test_runs_that_begin_with_a_policy_of_the_zoo_are_resumed(tmp_path: Path) ->
         runs_left([replace(run, transferred_from=None)], tmp_path)
 
 
-def test_a_process_that_dies_or_fails_fails_its_job_alone(tmp_path: Path) -> None:
+def test_a_process_that_dies_or_fails_fails_its_job_alone(tmp_path):
     jobs = [tmp_path / name for name in ("a", "b", "c", "bad")]
     for job in jobs[1:]:
         job.touch()

@@ -74,7 +74,7 @@ def busy_node(cluster: Any, store: Path) -> tuple[Any, psutil.Process, str] | No
     return None
 
 
-def test_a_grid_survives_the_loss_of_a_node(cluster: Any, tmp_path: Path) -> None:
+def test_a_grid_survives_the_loss_of_a_node(cluster, tmp_path):
     here, there = (spec_in(tmp_path / name) for name in ("local", "ray"))
     local = read_spec(here)
     train_runs(runs_of(local), local.store, LocalEngine(1))
@@ -111,9 +111,7 @@ def test_a_grid_survives_the_loss_of_a_node(cluster: Any, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:9", "nonsense"])
-def test_a_cluster_that_is_not_there_is_named(
-    address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_cluster_that_is_not_there_is_named(address, tmp_path, capsys):
     spec = spec_in(tmp_path)
     assert main(["grid", str(spec), "--engine", "ray", "--address", address]) == 2
     assert address in capsys.readouterr().err

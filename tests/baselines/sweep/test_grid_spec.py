@@ -1,13 +1,11 @@
 """Grids as files: what they declare, and every problem of one at once."""
 
-from pathlib import Path
 from typing import Any
 
 import yaml
 
 from baselines.sweep.spec import read_spec, runs_of
 from mbn_marl.field import Field, load_field, save_field
-from tests.baselines.conftest import Refusal
 from tests.support.grids import TINY, spec_of
 from tests.support.pages import FILE_NAME, ROOT, blocks_of
 
@@ -16,7 +14,7 @@ def names_of(**changes: Any) -> list[str]:
     return [run.name for run in runs_of(spec_of("runs", **changes))]
 
 
-def test_the_examples_are_what_the_page_says(tmp_path: Path) -> None:
+def test_the_examples_are_what_the_page_says(tmp_path):
     for block in blocks_of(ROOT / "docs" / "grid.md"):
         if name := FILE_NAME.match(block.text):
             (tmp_path / name[1]).write_text(block.text)
@@ -32,7 +30,7 @@ def test_the_examples_are_what_the_page_says(tmp_path: Path) -> None:
     assert len(names) == 48 and "mappo-2robots-wind0.1+30-field_03-seed1" in names
 
 
-def test_axes_multiply_and_name_the_runs() -> None:
+def test_axes_multiply_and_name_the_runs():
     names = names_of(
         algorithms=["ppo", "mappo"],
         settings=["A", "N"],
@@ -49,9 +47,7 @@ def test_axes_multiply_and_name_the_runs() -> None:
     assert run.shown_as == "a2c-A-2robots-gamma0.9"
 
 
-def test_wrong_values_are_refused_by_place_and_nothing_is_made(
-    tmp_path: Path, refusal: Refusal
-) -> None:
+def test_wrong_values_are_refused_by_place_and_nothing_is_made(tmp_path, refusal):
     whole, path = load_field("field_02"), tmp_path / "grid.yaml"
     save_field(Field(whole.vertices, whole.rois, whole.starts[:2]), tmp_path / "two.yaml")
     cases: list[tuple[dict[str, Any], str]] = [

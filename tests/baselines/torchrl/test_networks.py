@@ -1,6 +1,5 @@
 """Networks with a memory, over teams, and shared in part."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -51,7 +50,7 @@ def loud(shape: TeamShape) -> GaussianPolicy:
     return network
 
 
-def test_a_memory_learns_what_rows_no_longer_show_and_forgets_at_a_new_episode() -> None:
+def test_a_memory_learns_what_rows_no_longer_show_and_forgets_at_a_new_episode():
     torch.manual_seed(0)
     network = GaussianPolicy(TeamShape(1, 2, (8,), "none", memory=8), 0.0)
     shown = torch.zeros(64, 4, 2, 1)
@@ -73,8 +72,8 @@ CASES = [(name, sets) for name in SHAPES for sets in (False, True)]
 
 @pytest.mark.parametrize(("name", "sets"), CASES)
 def test_a_saved_policy_goes_through_an_episode_as_an_update_through_its_chunk(
-    name: str, sets: bool, tmp_path: Path
-) -> None:
+    name, sets, tmp_path
+):
     shape = made(name, sets=sets, memory=9)
     network, seen = loud(shape), rows(4, 6, 3, shape.obs_size)
     begins = torch.zeros(4, 6, dtype=torch.bool)
@@ -93,7 +92,7 @@ def test_a_saved_policy_goes_through_an_episode_as_an_update_through_its_chunk(
 
 
 @pytest.mark.slow
-def test_a_memory_goes_along_into_a_file(tmp_path: Path) -> None:
+def test_a_memory_goes_along_into_a_file(tmp_path):
     team = TeamPolicy(loud(made("groups", sets=True, memory=9)))
     policy = LoadedPolicy("it", team, {"observation": "entities"}, load_field("field_03"))
     metadata, _ = export_policy(policy, tmp_path / "it.onnx")  # it compares two steps
@@ -101,7 +100,7 @@ def test_a_memory_goes_along_into_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "sets"), [case for case in CASES if case[0] != "joint"])
-def test_sharing_decides_who_acts_alike_on_equal_rows(name: str, sets: bool) -> None:
+def test_sharing_decides_who_acts_alike_on_equal_rows(name, sets):
     shape = made(name, sets=sets)
     seen = rows(5, 1, shape.obs_size).expand(5, 3, -1)
     values = ValueNetwork(shape, "independent")(TensorDict({Key.NORMALIZED: seen}, (5,)))[Key.VALUE]
@@ -114,7 +113,7 @@ def test_sharing_decides_who_acts_alike_on_equal_rows(name: str, sets: bool) -> 
             TeamPolicy(loud(shape)).fit(pair)
 
 
-def test_a_joint_actor_over_sets_is_of_all_robots_in_any_order_and_one_draw() -> None:
+def test_a_joint_actor_over_sets_is_of_all_robots_in_any_order_and_one_draw():
     actor, seen = loud(made("joint", sets=True)), rows(5, 3, ENGINE.obs_size)
     torch.nn.init.normal_(actor.mean.mix[-1].weight)  # it is 0 in a new one
     actions = actor.means(seen)
@@ -130,7 +129,7 @@ def test_a_joint_actor_over_sets_is_of_all_robots_in_any_order_and_one_draw() ->
     assert critic(TensorDict({Key.NORMALIZED: seen}, (5,)))[Key.VALUE].shape == (5, 1, 1)
 
 
-def test_a_critic_of_the_state_reads_what_is_visited_flag_by_flag() -> None:
+def test_a_critic_of_the_state_reads_what_is_visited_flag_by_flag():
     critic = ValueNetwork(made("full", sets=False), "state", (13, 3))
     state = rows(2, 13)
     state[:, -1] = torch.tensor([5.0, 2.0])

@@ -12,7 +12,7 @@ import torch
 from tensordict import TensorDict
 
 from baselines import load_policy
-from baselines.algorithms import Setting, find_algorithm
+from baselines.algorithms import find_algorithm
 from baselines.evaluation.evaluate import bound_of, evaluate, unseen
 from baselines.torchrl import trainer
 from baselines.torchrl.config import load
@@ -27,13 +27,12 @@ from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import FieldSampler, load_fields
 from mbn_marl.field.splits import SEARCH, search_side_by_side
-from tests.baselines.conftest import Refusal
 from tests.support.runs import interrupted, recorded, same_policies, small_config
 
 pytestmark = pytest.mark.slow
 
 
-def test_algorithms_differ_by_what_actor_and_critic_see_alone() -> None:
+def test_algorithms_differ_by_what_actor_and_critic_see_alone():
     of = {"mappo": ("decentralized", "centralized"), "ippo": ("decentralized", "independent")}
     seen = {**of, "ppo-joint": ("centralized", "centralized")}
     for setting in ("N", "G"):
@@ -43,7 +42,7 @@ def test_algorithms_differ_by_what_actor_and_critic_see_alone() -> None:
     assert blocks[0]["network"] == "entities" == blocks[0]["environment"]["observation"]
 
 
-def test_cap_of_the_standard_deviation_stays_and_then_falls() -> None:
+def test_cap_of_the_standard_deviation_stays_and_then_falls():
     config = load("mappo", "N", {"log_std_cap": [0.5, -1.5], "log_std_cap_from": 0.5})
     assert [config.cap_at(progress) for progress in (0.0, 0.5, 0.75, 1.0)] == [0.5, 0.5, -0.5, -1.5]
 
@@ -53,8 +52,8 @@ SMALL = {"num_worlds": 4, "rollout_steps": 32, "hidden": [8]}
 
 @pytest.mark.parametrize(("algorithm", "memory"), [("mappo", 0), ("ppo-joint", 0), ("mappo", 6)])
 def test_a_time_limit_is_bootstrapped_and_a_termination_is_not(
-    algorithm: str, memory: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    algorithm, memory, tmp_path, monkeypatch
+):
     kept = []
     samples = trainer.Trainer._samples
 
@@ -96,9 +95,7 @@ def test_a_time_limit_is_bootstrapped_and_a_termination_is_not(
     torch.testing.assert_close(last[:, :-1][goes_on], rollout[Key.VALUE][:, 1:][goes_on])
 
 
-def test_robots_that_failed_do_not_move_the_actor(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_robots_that_failed_do_not_move_the_actor(tmp_path, monkeypatch):
     kept = []
     samples = trainer.Trainer._samples
 
@@ -124,9 +121,7 @@ def test_robots_that_failed_do_not_move_the_actor(
         ("ippo", "field_03", {"memory": 6, "sharing": "groups", "critic_sharing": "full+traits"}),
     ],
 )
-def test_a_run_of_setting_g_resumes(
-    algorithm: str, field: str, changes: dict[str, Any], tmp_path: Path
-) -> None:
+def test_a_run_of_setting_g_resumes(algorithm, field, changes, tmp_path):
     small = {"num_worlds": 4, "rollout_steps": 16, "hidden": [16, 16], "minibatches": 4, **changes}
     budget: dict[str, Any] = {"steps": 320, "evaluate_every": 128, "episodes": 2}
     fast = {"v_clip": [5.0, 3.5, 5.0]} if field == "field_03" else {}
@@ -137,7 +132,7 @@ def test_a_run_of_setting_g_resumes(
     assert recorded(again) == recorded(whole) and same_policies(again, whole)
 
 
-def test_robots_are_alike_in_dynamics_limits_and_kind() -> None:
+def test_robots_are_alike_in_dynamics_limits_and_kind():
     config = make_config({"v_clip": (5.0, 3.5, 5.0), "dynamics": ("unicycle",) * 3})
     for kinds, alike in (((), True), ((1, 0, 1), True), ((0, 0, 1), False)):
         first, second, third = traits_of(config, 3, kinds)
@@ -197,7 +192,7 @@ def scene(request: pytest.FixtureRequest) -> Scene:
 
 @pytest.mark.parametrize("how", ["x", "y", "swap"])
 @torch.no_grad()
-def test_in_a_mirrored_field_robots_do_the_mirrored_thing(scene: Scene, how: str) -> None:
+def test_in_a_mirrored_field_robots_do_the_mirrored_thing(scene, how):
     actions, rows = scene.actor(scene.rows), scene.mirrored(how)
     assert not torch.equal(rows, scene.rows) and actions.abs().mean() > 0.1
     signs = {"x": [-1.0, 1.0], "y": [1.0, -1.0], "swap": [1.0, 1.0]}[how]
@@ -208,7 +203,7 @@ def test_in_a_mirrored_field_robots_do_the_mirrored_thing(scene: Scene, how: str
 
 @pytest.mark.parametrize("kinds", [("roi_0_", "roi_3_"), ("other_1_", "other_3_")])
 @torch.no_grad()
-def test_the_order_of_tokens_does_not_matter(scene: Scene, kinds: tuple[str, str]) -> None:
+def test_the_order_of_tokens_does_not_matter(scene, kinds):
     places = [[k for k, n in enumerate(scene.names) if n.startswith(kind)] for kind in kinds]
     rows = scene.rows.clone()
     rows[..., places[0] + places[1]] = scene.rows[..., places[1] + places[0]]
@@ -217,7 +212,7 @@ def test_the_order_of_tokens_does_not_matter(scene: Scene, kinds: tuple[str, str
 
 
 @torch.no_grad()
-def test_absent_robots_do_nothing_and_count_for_nothing(scene: Scene) -> None:
+def test_absent_robots_do_nothing_and_count_for_nothing(scene):
     there = scene.rows.any(-1)
     counts = there.sum(1)
     assert {2, 3, 4} == {*counts.tolist()}
@@ -233,9 +228,7 @@ def test_absent_robots_do_nothing_and_count_for_nothing(scene: Scene) -> None:
     torch.testing.assert_close(scene.critic(small), values[world, :2])
 
 
-def test_a_policy_of_random_fields_goes_anywhere_but_wants_a_field(
-    tmp_path: Path, refusal: Refusal
-) -> None:
+def test_a_policy_of_random_fields_goes_anywhere_but_wants_a_field(tmp_path, refusal):
     small = small_config("mappo", "G")
     changes = {**small.hyperparameters, "scattered": 0.0, "roi_radius": 1.0}
     where: dict[str, Any] = {"field": "random_convex", "environment": {**SEEN, "max_steps": 50}}
@@ -269,8 +262,8 @@ def test_a_policy_of_random_fields_goes_anywhere_but_wants_a_field(
     ],
 )
 def test_a_run_begins_with_the_actor_of_another_one_and_multiplies_its_means(
-    algorithm: str, setting: Setting, source: str, memory: int, gains: Any, tmp_path: Path
-) -> None:
+    algorithm, setting, source, memory, gains, tmp_path
+):
     small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
     noise = {"log_std_start": -0.5, "log_std_cap": (9.0, 9.0)}
     # The actor keeps still in the first rollouts, of which there are two.
@@ -290,7 +283,7 @@ def test_a_run_begins_with_the_actor_of_another_one_and_multiplies_its_means(
     assert f"--from {source}" in tuned.command
 
 
-def test_the_critic_begins_with_the_actors_encoder_and_learns_first() -> None:
+def test_the_critic_begins_with_the_actors_encoder_and_learns_first():
     begins = {"steps": 96, "transferred_from": Path("zoo:generalist")}
     small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
     task, found = prepare(TrainConfig("mappo", "field_03", "G", hyperparameters=small, **begins))
@@ -310,7 +303,7 @@ def test_the_critic_begins_with_the_actors_encoder_and_learns_first() -> None:
         has_more=lambda env_steps, begun: env_steps < 96,
         **{name: lambda *values: None for name in ("start", "update", "finish")},
     )
-    watched = Watched(task, found, recorder)  # type: ignore[arg-type]
+    watched = Watched(task, found, recorder)
     watched.run()
     actors, critics = zip(*seen, strict=True)
     first = load_policy("zoo:generalist").policy.network.mean.encoder.own[0].weight
@@ -319,20 +312,18 @@ def test_the_critic_begins_with_the_actors_encoder_and_learns_first() -> None:
     assert (critics[0] - first).abs().max() < 2e-3  # after one step of 0.0007
 
 
-def test_each_robots_critic_begins_with_its_actors_encoder(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_robots_critic_begins_with_its_actors_encoder(monkeypatch):
     small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1, **ALONE}
     task, found = prepare(TrainConfig("ippo", "field_03", "G", hyperparameters=small, steps=96))
-    made = Trainer(task, found, SimpleNamespace(checkpoint=None))  # type: ignore[arg-type]
+    made = Trainer(task, found, SimpleNamespace(checkpoint=None))
     monkeypatch.setattr(trainer, "load_trained", lambda source: made)
-    made._begin_with(None)  # type: ignore[arg-type]
+    made._begin_with(None)
     actor, critic = (one.state_dict() for one in (made.network.mean, made.critic.values))
     names = [name for name in actor if "encoder." in name]
     assert len(names) == 78 and all(torch.equal(actor[name], critic[name]) for name in names)
 
 
-def test_a_run_of_a_tier_has_its_settings_and_its_bounds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_of_a_tier_has_its_settings_and_its_bounds(tmp_path, monkeypatch):
     few = {name: search_side_by_side(name, math.inf)[:2] for name in ("validation", "test")}
     monkeypatch.setattr(run_logger, "search_side_by_side", lambda split, radius: few[split])
     heard = {"environment": {"comm_radius": math.inf}, "transferred_from": Path("zoo:generalist")}
@@ -376,9 +367,7 @@ NAMED = [f"hyperparameters.{name}" for name in ("network", "hidden", "sharing")]
         ("mappo", "field_03", "G", OTHER, ["observation", "robots", "ROIs", "arena", *NAMED]),
     ],
 )
-def test_what_does_not_go_together_is_refused(
-    algorithm: str, field: str, setting: Setting, changes: dict[str, Any], named: list[str]
-) -> None:
+def test_what_does_not_go_together_is_refused(algorithm, field, setting, changes, named):
     source = Path("zoo:generalist") if changes is OTHER else None
     config = TrainConfig(
         algorithm, field, setting, hyperparameters=changes, transferred_from=source
@@ -389,15 +378,15 @@ def test_what_does_not_go_together_is_refused(
 
 
 @pytest.mark.parametrize("terminated", [True, False])
-def test_shaping_is_the_discounted_difference_of_the_ways_left(terminated: bool) -> None:
+def test_shaping_is_the_discounted_difference_of_the_ways_left(terminated):
     def seen(ways: list[float]) -> torch.Tensor:
         rows = torch.zeros(1, len(ways), 2, 6)
         rows[0, :, 0, 0] = torch.tensor([way / (way + 100.0) for way in ways])
         return rows
 
     trainer = Trainer.__new__(Trainer)
-    trainer.env = SimpleNamespace(n_agents=2)  # type: ignore[assignment]
-    trainer.estimator = SimpleNamespace(gamma=torch.tensor(0.5))  # type: ignore[assignment]
+    trainer.env = SimpleNamespace(n_agents=2)
+    trainer.estimator = SimpleNamespace(gamma=torch.tensor(0.5))
     trainer.reward = ("next", "robots", "reward")
     tokens = Tokens(("own_tour", "team_tour"), ("present",), ("left", "away", "others"))
     ended = torch.tensor([[[False], [False], [terminated]]])

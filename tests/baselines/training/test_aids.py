@@ -18,7 +18,7 @@ def task_of(**settings: Any) -> Task:
     return Task(TrainConfig("mappo", "field_02", seed=3), FIELD, settings)
 
 
-def test_numbers_are_interpolated_and_do_not_leave_their_ends() -> None:
+def test_numbers_are_interpolated_and_do_not_leave_their_ends():
     assert [between((3.0, 1.0), share) for share in (-1, 0, 0.25, 1, 2)] == [3, 3, 2.5, 1, 1]
 
 
@@ -31,15 +31,13 @@ def test_numbers_are_interpolated_and_do_not_leave_their_ends() -> None:
         ({"between": (5, 60)}, 4, {}),
     ],
 )
-def test_failures_after_the_end_of_a_training_episode_are_left_out(
-    failures: dict[str, Any], steps: int, expected: dict[str, Any]
-) -> None:
+def test_failures_after_the_end_of_a_training_episode_are_left_out(failures, steps, expected):
     aids, curriculum = TrainingAids(episode_steps=steps), RoiCurriculum(1.0, window=4)
     settings = aids.in_training(task_of(failures=failures), curriculum, 4)
     assert settings["failures"] == Failures(**expected)
 
 
-def test_robots_are_scattered_until_rois_have_their_true_size() -> None:
+def test_robots_are_scattered_until_rois_have_their_true_size():
     aids, curriculum = TrainingAids(scattered=0.25), RoiCurriculum(4.0, window=4)
     task = task_of(safety_distance=30.0)
     fields = aids.in_training(task, curriculum, 8)["field"]
@@ -58,9 +56,7 @@ def test_robots_are_scattered_until_rois_have_their_true_size() -> None:
     assert with_other_starts(FIELD, 500.0, np.random.default_rng(0)) is FIELD  # crowded
 
 
-def test_rois_shrink_when_the_team_succeeds_and_grow_when_it_fails(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_rois_shrink_when_the_team_succeeds_and_grow_when_it_fails(monkeypatch):
     monkeypatch.setattr(module, "STAGES", 3)
     curriculum = RoiCurriculum(8.0, window=5)
     failed, half, most = [0] * 5, [1, 1, 0, 1, 0], [1, 1, 1, 0, 1]

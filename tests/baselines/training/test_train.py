@@ -29,7 +29,7 @@ from baselines.training.train import notes, prepare, train
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 from tests.support.pages import MBN
-from tests.support.runs import STAGES, TinyRuns, interrupted, recorded, same_policies, small_config
+from tests.support.runs import STAGES, interrupted, recorded, same_policies, small_config
 
 pytestmark = pytest.mark.slow
 
@@ -51,9 +51,7 @@ def interrupt(report: Report) -> None:
     "name",
     [*FAMILIES, *(pytest.param(k, marks=pytest.mark.all) for k in ALGORITHMS if k not in FAMILIES)],
 )
-def test_a_resumed_run_equals_an_uninterrupted_one(
-    name: str, tmp_path: Path, tiny_runs: TinyRuns
-) -> None:
+def test_a_resumed_run_equals_an_uninterrupted_one(name, tmp_path, tiny_runs):
     config, stopped = small_config(name), tiny_runs.stopped(name, tmp_path / "run")
     torch.manual_seed(99)
     np.random.seed(99)
@@ -77,7 +75,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
     assert name != "tqc" or "train/critic_loss" in events.Tags()["scalars"]
 
 
-def test_killed_process_is_resumed(tmp_path: Path) -> None:
+def test_killed_process_is_resumed(tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     words = "train ppo-shared field_03 --episodes 2 --steps 4000 --evaluate-every 500 --num-envs 2 "
     words += "--set roi_radius=20.0 episode_steps=50 model.n_steps=32 "
@@ -98,9 +96,7 @@ def test_killed_process_is_resumed(tmp_path: Path) -> None:
     assert not list(killed.glob(".*"))
 
 
-def test_a_run_killed_before_its_first_checkpoint_begins_again(
-    tmp_path: Path, tiny_runs: TinyRuns
-) -> None:
+def test_a_run_killed_before_its_first_checkpoint_begins_again(tmp_path, tiny_runs):
     out = tmp_path / "run"
     with pytest.raises(InterruptedError):
         train(SMALL, out, listener=interrupt)
@@ -113,9 +109,7 @@ def test_a_run_killed_before_its_first_checkpoint_begins_again(
     assert not list(out.glob(".*"))
 
 
-def test_slow_training_is_saved_between_evaluations(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_slow_training_is_saved_between_evaluations(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder, "CHECKPOINT_SECONDS", 0.0)
     monkeypatch.setattr(recorder, "ROW_STEPS", 64)
     stopped = interrupted(replace(SMALL, evaluate_every=100_000), tmp_path / "run")
@@ -123,9 +117,7 @@ def test_slow_training_is_saved_between_evaluations(
     assert stopped.evaluations == []
 
 
-def test_a_policy_can_be_looked_at_before_the_run_is_finished(
-    tmp_path: Path, tiny_runs: TinyRuns, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_policy_can_be_looked_at_before_the_run_is_finished(tmp_path, tiny_runs, capsys):
     stopped = tiny_runs.stopped("mappo", tmp_path / "run")
     load_trained(stopped)
     assert stopped.unfinished and "of 400 env-steps" in stopped.unfinished
@@ -135,9 +127,7 @@ def test_a_policy_can_be_looked_at_before_the_run_is_finished(
         _ = stopped.evaluation
 
 
-def test_interrupted_run_says_where_it_can_be_resumed_and_gives_threads_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_interrupted_run_says_where_it_can_be_resumed_and_gives_threads_back(tmp_path, monkeypatch):
     threads: list[int] = [3]
     monkeypatch.setattr(torch, "get_num_threads", lambda: threads[-1])
     monkeypatch.setattr(torch, "set_num_threads", threads.append)
@@ -150,7 +140,7 @@ def test_interrupted_run_says_where_it_can_be_resumed_and_gives_threads_back(
     assert threads == [3, 1, 3]
 
 
-def test_only_the_same_run_can_be_resumed(tmp_path: Path, tiny_runs: TinyRuns) -> None:
+def test_only_the_same_run_can_be_resumed(tmp_path, tiny_runs):
     stopped = tiny_runs.stopped("ppo", tmp_path / "run")
     before = stopped.progress.read_bytes()
     with pytest.raises(ConfigError) as caught:
@@ -165,9 +155,7 @@ def test_only_the_same_run_can_be_resumed(tmp_path: Path, tiny_runs: TinyRuns) -
 
 
 @pytest.mark.parametrize("name", ["mappo", "ppo"])
-def test_a_full_disk_leaves_the_checkpoint_before(
-    name: str, tmp_path: Path, tiny_runs: TinyRuns
-) -> None:
+def test_a_full_disk_leaves_the_checkpoint_before(name, tmp_path, tiny_runs):
     run = tiny_runs.stopped(name, tmp_path / "run")
     kept: Any = run.checkpoint
     before = {path: path.read_bytes() for path in kept.rglob("*") if path.is_file()}
@@ -185,9 +173,7 @@ def test_a_full_disk_leaves_the_checkpoint_before(
     assert not list(run.path.glob(".*"))
 
 
-def test_resumed_run_is_logged_to_the_same_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_resumed_run_is_logged_to_the_same_one(tmp_path, monkeypatch):
     config, out, wandb = small_config("ppo"), tmp_path / "run", MagicMock()
     monkeypatch.setitem(sys.modules, "wandb", wandb)
     logging = wandb.init.return_value
@@ -209,12 +195,7 @@ def test_resumed_run_is_logged_to_the_same_one(
 
 
 @pytest.mark.parametrize("command", ["train ippo field_03", "compare"])
-def test_without_the_package_nothing_is_begun(
-    command: str,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_without_the_package_nothing_is_begun(command, monkeypatch, tmp_path, capsys):
     monkeypatch.setitem(sys.modules, "wandb", None)
     assert main([*command.split(), "--wandb", "robots", "--out", str(tmp_path / "out")]) == 2
     assert "wandb: " in capsys.readouterr().err and not (tmp_path / "out").exists()
@@ -233,7 +214,7 @@ def train_on(field: Field, algorithm: str, out: Path, **how: Any) -> RunFolder:
     ("algorithm", "steps"),
     [("ppo", 131_072), ("ars", 65_536), ("tqc", 4096), ("mappo", 131_072), ("ppo-shared", 196_608)],
 )
-def test_easy_field_is_solved(algorithm: str, steps: int, tmp_path: Path) -> None:
+def test_easy_field_is_solved(algorithm, steps, tmp_path):
     how: dict[str, Any] = {"steps": steps, "episodes": 20, "environment": {"max_steps": 100}}
     run = train_on(EASY, algorithm, tmp_path / "easy", evaluate_every=steps // 4, **how)
     final = run.evaluation
@@ -253,7 +234,7 @@ OPTIMUM = 110_000.0 - 2 * 10 * 13
 
 @pytest.mark.all
 @pytest.mark.parametrize("algorithm", ALGORITHMS.keys() - {"crossq", "tqc"})
-def test_field_of_two_robots_is_solved_to_the_optimum(algorithm: str, tmp_path: Path) -> None:
+def test_field_of_two_robots_is_solved_to_the_optimum(algorithm, tmp_path):
     how: dict[str, Any] = {"steps": 196_608, "evaluate_every": 98_304, "episodes": 50}
     run = train_on(TINY, algorithm, tmp_path / "tiny", environment={"max_steps": 200}, **how)
     sampled, mean = run.evaluation["stochastic"], run.evaluation["deterministic"]
@@ -263,9 +244,7 @@ def test_field_of_two_robots_is_solved_to_the_optimum(algorithm: str, tmp_path: 
 
 
 @pytest.mark.parametrize("name", ["trpo", "mappo"])
-def test_a_run_of_two_learners_resumes_in_the_second(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_of_two_learners_resumes_in_the_second(name, tmp_path, monkeypatch):
     monkeypatch.setattr(recorder, "ROW_STEPS", 1)
     for module in ("train", "run_logger"):
         monkeypatch.setattr(f"baselines.training.{module}.LEAST_STEPS", 128)
@@ -303,9 +282,7 @@ def test_a_run_of_two_learners_resumes_in_the_second(
 
 
 @pytest.mark.parametrize("best", [1, 2, 3])
-def test_the_best_policy_on_the_way_is_kept_and_measured_again(
-    best: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_best_policy_on_the_way_is_kept_and_measured_again(best, tmp_path, monkeypatch):
     seen: dict[int, dict[str, torch.Tensor]] = {}
 
     def made_up(policy: Any, *place: Any, **how: Any) -> Evaluation:

@@ -41,7 +41,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_the_paper_and_the_library_decide_what_is_tuned() -> None:
+def test_the_paper_and_the_library_decide_what_is_tuned():
     spaces = {name: search_space(name) for name in published.ALGORITHMS}
     on_policy = {"gamma", "gae_lambda", "learning_rate"}
     losses = {"vf_coef", "ent_coef", "max_grad_norm"}
@@ -62,9 +62,7 @@ def test_the_paper_and_the_library_decide_what_is_tuned() -> None:
     assert not getattr(trial.distributions["gamma"], "log", True)
 
 
-def test_tune_writes_what_setting_b_reads(
-    study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tune_writes_what_setting_b_reads(study, tmp_path, capsys):
     (row,) = table(study)
     assert (row["number"], row["state"]) == ("0", "COMPLETE")
     values = {name: float(row[f"params_{name}"]) for name in search_space("a2c")}
@@ -91,7 +89,7 @@ def test_tune_writes_what_setting_b_reads(
     assert "](study_history.png)" in (tmp_path / "out" / "paper.md").read_text()
 
 
-def test_resume_keeps_finished_trials_and_replaces_an_interrupted_one(tmp_path: Path) -> None:
+def test_resume_keeps_finished_trials_and_replaces_an_interrupted_one(tmp_path):
     out = tmp_path / "study"
     words = ["tune", "a2c", *TINY, "--seed", str(2**32 - 1), "--out", str(out)]  # the largest
     assert main([*words, "--trials", "1"]) == 0
@@ -109,9 +107,7 @@ def test_resume_keeps_finished_trials_and_replaces_an_interrupted_one(tmp_path: 
     assert load_study(out).get_trials() == before
 
 
-def test_a_study_is_neither_shared_overwritten_nor_changed(
-    study: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_is_neither_shared_overwritten_nor_changed(study, capsys):
     with FileLock(study / ".lock"):
         words = ["tune", "a2c", *TINY, "--trials", "5", "--resume", "--out", str(study)]
         assert main(words) == 2
@@ -124,7 +120,7 @@ def test_a_study_is_neither_shared_overwritten_nor_changed(
     assert len(load_study(study).get_trials()) == 1
 
 
-def test_a_damaged_journal_is_named(tmp_path: Path) -> None:
+def test_a_damaged_journal_is_named(tmp_path):
     begin_study(tmp_path)
     journal = tmp_path / "study.log"
     whole = journal.read_bytes()
@@ -138,7 +134,7 @@ def test_a_damaged_journal_is_named(tmp_path: Path) -> None:
         load_study(tmp_path)
 
 
-def test_a_trial_below_the_median_is_pruned(tmp_path: Path) -> None:
+def test_a_trial_below_the_median_is_pruned(tmp_path):
     begin_study(tmp_path)
     for _ in range(5):
         better = create_trial(value=1e6, intermediate_values={1: 1e6, 2: 1e6})
@@ -152,9 +148,7 @@ def test_a_trial_below_the_median_is_pruned(tmp_path: Path) -> None:
     assert 1000 <= recorded["env_steps"] < 2000
 
 
-def test_a_trial_that_diverges_counts_as_the_worst(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_trial_that_diverges_counts_as_the_worst(tmp_path, monkeypatch):
     def diverge(*_: Any, **__: Any) -> None:
         raise DivergenceError("loc is nan")
 

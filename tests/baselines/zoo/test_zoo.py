@@ -18,7 +18,6 @@ from baselines.runs.files import RunError, read_json, write_json
 from baselines.runs.folder import RunFolder
 from baselines.zoo.make import LARGEST, make_entry
 from mbn_marl.field import FieldSampler, catalogue_names, load_field, save_field
-from tests.baselines.conftest import Refusal
 from tests.support.runs import TinyRuns
 
 ROOT = Path(__file__).parents[3]
@@ -58,9 +57,7 @@ def evaluation_of(name: str, out: Path) -> dict[str, Any]:
     }
 
 
-def test_an_entry_is_a_small_run_that_acts_as_its_card_says(
-    zoo: Path, run: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_entry_is_a_small_run_that_acts_as_its_card_says(zoo, run, tmp_path, capsys):
     entry, files = RunFolder.open(zoo / "tiny"), {*zoo.rglob("*.*")}
     weights = ("policy/policy.json", "policy/policy.safetensors")
     names = ("card.json", "config.json", "field.yaml", *weights)
@@ -80,9 +77,7 @@ def test_an_entry_is_a_small_run_that_acts_as_its_card_says(
     assert re.search(r"zoo:tiny +all +sampled ", printed)
 
 
-def test_an_entry_is_made_again_and_nothing_else_is_replaced(
-    zoo: Path, run: RunFolder, tmp_path: Path, refusal: Refusal
-) -> None:
+def test_an_entry_is_made_again_and_nothing_else_is_replaced(zoo, run, tmp_path, refusal):
     entry, mine = zoo / "tiny", tmp_path / "mine"
     (entry / "field.yaml").unlink()
     again = ["zoo", "--add", str(run.path), "--out", str(entry)]
@@ -101,7 +96,7 @@ def test_an_entry_is_made_again_and_nothing_else_is_replaced(
         assert "zoo:../tiny: " in error and "other, tiny" in error
 
 
-def test_what_makes_no_entry(run: RunFolder, tmp_path: Path, refusal: Refusal) -> None:
+def test_what_makes_no_entry(run, tmp_path, refusal):
     def refused(place: str) -> None:
         assert place in refusal(["zoo", "--add", str(run.path), "--out", "entry"])
         assert not (tmp_path / "entry").exists()
@@ -118,7 +113,7 @@ def test_what_makes_no_entry(run: RunFolder, tmp_path: Path, refusal: Refusal) -
     refused("1,000,000")
 
 
-def test_there_is_an_entry_for_every_field() -> None:
+def test_there_is_an_entry_for_every_field():
     assert {*entry_names()} == {*catalogue_names(), *ANYWHERE}
 
 
@@ -129,7 +124,7 @@ def test_there_is_an_entry_for_every_field() -> None:
         for name in entry_names()
     ],
 )
-def test_a_shipped_entry_does_what_its_card_says(name: str, tmp_path: Path) -> None:
+def test_a_shipped_entry_does_what_its_card_says(name, tmp_path):
     card, run = read_json(ENTRIES / name / CARD), RunFolder.open(ENTRIES / name)
     files = [path for path in run.path.rglob("*") if path.is_file()]
     assert sum(path.stat().st_size for path in files) <= LARGEST
