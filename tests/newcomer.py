@@ -15,7 +15,6 @@ import venv
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 from numba import config
 from numba.core.caching import _CacheLocator
@@ -69,7 +68,7 @@ class Newcomer:
 
     def run(self, words: Sequence[str], folder: Path, code: int = 0) -> str:
         """Run a command in a pipe; return its output."""
-        how: dict[str, Any] = {"cwd": folder, "env": self._environment, "timeout": LONGEST}
+        how = {"cwd": folder, "env": self._environment, "timeout": LONGEST}
         done = subprocess.run(words, capture_output=True, text=True, **how)
         assert done.returncode == code, f"exit code {done.returncode}: {done.stderr[-2000:]}"
         assert "Traceback" not in done.stdout + done.stderr, done.stderr[-2000:]

@@ -7,7 +7,6 @@ import re
 import shutil
 import subprocess
 import sys
-from typing import Any
 
 import nbformat
 import pytest
@@ -80,7 +79,7 @@ def test_recipes_fit_the_code(tmp_path):
     for package in ("mbn_marl", "baselines", "envs_catalog"):
         shutil.copytree(ROOT / package, tmp_path / package)
     own = {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    how: dict[str, Any] = {"cwd": tmp_path, "env": os.environ | own}
+    how = {"cwd": tmp_path, "env": os.environ | own}
 
     def run(*command: str, text: str | None = None) -> None:
         done = subprocess.run(command, input=text, capture_output=True, text=True, **how)

@@ -32,7 +32,7 @@ def test_the_checkers_of_all_libraries_pass(monkeypatch):
 
 
 def test_infos_tell_what_was_drawn():
-    how: dict[str, Any] = STORM | {"max_steps": 6}
+    how = STORM | {"max_steps": 6}
     engine = BatchEngine("field_03", 4, seed=6, **how)
     engine.reset()
     names = [f"drawn/{name}" for name in engine.drawn()]
@@ -50,7 +50,7 @@ def test_infos_tell_what_was_drawn():
             *_, infos = one.step(dict.fromkeys(one.agents, (0.0, 0.0)))
         assert all([info[name] for name in names] == row[0].tolist() for info in infos.values())
 
-    same_step: dict[str, Any] = OF_ID | {"autoreset_mode": "SameStep", "max_steps": 6}
+    same_step = OF_ID | {"autoreset_mode": "SameStep", "max_steps": 6}
     many = gymnasium.make_vec("mbn/field_03-storm-v0", 4, **same_step)
     _, found = many.reset(seed=6)
     for _ in range(6):

@@ -136,7 +136,7 @@ class Together:
 
 def compare(world: World, dtype: str, num_worlds: int, which: int) -> Counter[str]:
     """Play a world for a while, through resets. Returns what happened how often."""
-    seen: Counter[str] = Counter()
+    seen = Counter()
     together = Together(world.field, dtype, num_worlds, which, **world.settings)
     pilot = Pilot(world, together.oracle)
     for _ in range(STEPS_OF_OWN if together.oracle.knowledge else STEPS):
@@ -189,7 +189,7 @@ def failures_of(n: int) -> st.SearchStrategy[Failures]:
 
 @pytest.mark.parametrize("name", [*GATE, pytest.param(LAST, marks=pytest.mark.all)])
 def test_all_forms_agree_with_the_oracle(name):
-    seen: Counter[str] = Counter()
+    seen = Counter()
     dtype, teams, choices = COMPILED[name]
     disturbed, own = choices[0].keys() >= DRAWN.keys(), "knowledge" in choices[0]
 

@@ -184,7 +184,7 @@ def test_attributes_and_methods(kind):
 def test_evaluation_reports_true_returns_under_scaling(kind):
     env = kind("field_03", WORLDS, max_steps=7, roi_radius=0.0)
     actions = np.zeros((env.num_envs, *env.action_space.shape), np.float32)
-    still: Any = SimpleNamespace(predict=lambda *_, **__: (actions, None))
+    still = SimpleNamespace(predict=lambda *_, **__: (actions, None))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         returns, lengths = evaluate_policy(
@@ -208,7 +208,7 @@ def test_an_off_policy_algorithm_takes_the_joint_action():
 
 
 def test_a_central_learner_can_see_what_all_robots_see():
-    settings: dict[str, Any] = {"observation": "local", "seed": 5, **LIVELY}
+    settings = {"observation": "local", "seed": 5, **LIVELY}
     joint = CentralizedVecEnv("field_03", WORLDS, joint_observation=True, **settings)
     robots = SharedPolicyVecEnv("field_03", WORLDS, **settings)
     size = ROBOTS * robots.engine.obs_size

@@ -1,7 +1,5 @@
 """The TorchRL environment: specs, equality with the engine, resets, and that losses train on it."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
@@ -179,7 +177,7 @@ def test_a_saved_world_that_had_ended_begins_again():
 @pytest.mark.all
 def test_torch_compile_leaves_steps_alone():
     env = NavigationEnv("field_03", 2)
-    step: Any = torch.compile(env.step)
+    step = torch.compile(env.step)
     assert step(env.rand_action(env.reset()))["next", "robots", "reward"].shape == (2, 3, 1)
 
 
@@ -188,11 +186,10 @@ def test_sizes_and_metrics_are_checked_at_once():
     with pytest.raises(ConfigError) as caught:
         NavigationEnv("field_03", 2.5, metrics=["success", "success"])
     assert [one.partition(":")[0] for one in caught.value.problems] == ["metrics", "num_worlds"]
-    metrics: Any
     for metrics in (None, [1, "success"], [["success"]]):
         with pytest.raises(ConfigError, match="metrics: "):
             NavigationEnv("field_03", 2, metrics=metrics)
-    settings: Any = {"autoreset": True}
+    settings = {"autoreset": True}
     with pytest.raises(ConfigError, match="autoreset: "):
         NavigationEnv("field_03", 2, **settings)
     env = NavigationEnv("field_03", 2, device=None)

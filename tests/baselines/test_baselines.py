@@ -16,7 +16,6 @@ from baselines.torchrl.networks import (
     JointNormal,
     Key,
     Normalize,
-    Sharing,
     TeamNormal,
     TeamShape,
     ValueNetwork,
@@ -136,14 +135,13 @@ def _seen_by(network: GaussianPolicy | ValueNetwork, key: object) -> list[bool]:
     after = before.clone()
     after[:, 2] += 1.0
     outputs = [network(TensorDict({Key.NORMALIZED: seen}, (5,)))[key] for seen in (before, after)]
-    changed: list[bool] = ((outputs[0] - outputs[1]).abs().amax((0, -1)) > 1e-6).tolist()
+    changed = ((outputs[0] - outputs[1]).abs().amax((0, -1)) > 1e-6).tolist()
     return changed
 
 
 def test_only_central_critics_and_actors_see_the_other_robots():
     torch.manual_seed(0)
     alone, together = [False, False, True], [True] * 3
-    sharing: Sharing
     for sharing in ("full", "none"):
         shape = TeamShape(4, 3, (8,), sharing)
         assert _seen_by(ValueNetwork(shape, "centralized"), Key.VALUE) == together

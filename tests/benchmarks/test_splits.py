@@ -35,7 +35,7 @@ def test_instances_are_proved_and_an_interrupted_run_goes_on(made, tmp_path, mon
         found = plan(sampler.field(number), time_limit=60.0)
         assert one["candidate"] == number and one["geometry"] == geometry_hash(found.field)
         assert (one["makespan_lower_bound"], one["makespan"]) == (found.makespan,) * 2
-    calls: list[Field] = []
+    calls = []
 
     def stopping(field: Field, **how: Any) -> Plan:
         calls.append(field)

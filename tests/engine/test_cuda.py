@@ -90,7 +90,7 @@ def compiled_kernels(dtype: Any, settings: dict[str, Any]) -> dict[str, str]:
     actions, active = np.zeros((worlds, 3, 2), real), np.zeros(worlds, np.bool_)
     call = kernels.Call(actions, active, np.zeros(1, np.int64))
     rows = (np.zeros((worlds, 3, 13)),)
-    work: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    work = {
         "step": (kernels.step_kernel(3, size, dtype), (p, g, mem, now, now, out, call)),
         "reset": (kernels.reset_kernel(size), (p, g, mem, now, out, call)),
         "infos": (kernels.infos, (p, g, mem, now, now, out, rows)),
@@ -155,7 +155,7 @@ def test_kernels_become_machine_code(dtype, settings, monkeypatch, tmp_path):
 @needs_gpu
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_equals_the_cpu_on_a_gpu_also_as_a_graph(dtype):
-    settings: dict[str, Any] = {"random_starts": True, "max_steps": 90, "dtype": dtype, "seed": 2}
+    settings = {"random_starts": True, "max_steps": 90, "dtype": dtype, "seed": 2}
     cpu = BatchEngine("field_03", 1000, **settings)
     gpu = BatchEngine("field_03", 1000, device="cuda", **settings)
     assert (gpu.reset().cpu().numpy() == cpu.reset()).all()
@@ -192,8 +192,8 @@ def test_own_knowledge_in_random_fields_equals_the_cpu_on_a_gpu(settings):
     fields = FieldSampler(robots=5, rois=24, size=700, seed=4)
     cpu = BatchEngine(fields, 1024, seed=3, **own, **settings)
     gpu = BatchEngine(fields, 1024, seed=3, device="cuda", **own, **settings)
-    expected: tuple[Any, ...] = (cpu.reset(),)
-    found: tuple[Any, ...] = (gpu.reset(),)
+    expected = (cpu.reset(),)
+    found = (gpu.reset(),)
     for _ in range(200):
         for one, tensor in zip(expected, found, strict=True):
             np.testing.assert_array_equal(tensor.cpu().numpy(), one)

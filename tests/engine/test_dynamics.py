@@ -72,7 +72,7 @@ def test_bicycle_turns_by_its_speed():
 def test_failed_robot_of_each_dynamics(kind):
     failing = Failures(at={0: 3, 1: 3, 2: 3}, kind=kind)
     actions = ((1.0, -1.0), (1.0, -1.0), (1.0, 0.0))
-    settings: dict[str, Any] = {"failures": failing, "wind": (0.125, 0.0), "f_max": 0.25}
+    settings = {"failures": failing, "wind": (0.125, 0.0), "f_max": 0.25}
     engine = driven(actions, actions, turn_max=np.pi / 3, **settings)
     assert engine.snapshot(1).velocities.tolist() == [[0.75, -0.5], [0.75, -0.5], [0.75, 0.0]]
     impulse = engine.metrics()["impulse"][1].tolist()

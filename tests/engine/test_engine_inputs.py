@@ -242,7 +242,7 @@ def test_bad_fields():
 
 
 def test_all_arguments_are_checked_at_once():
-    wrong: Any = {"autoreset": "x", "threads": 0, "mass": -1}
+    wrong = {"autoreset": "x", "threads": 0, "mass": -1}
     with pytest.raises(ConfigError) as caught:
         BatchEngine("field_03", 0, **wrong)
     places = [one.split(":")[0] for one in caught.value.problems]
@@ -268,7 +268,7 @@ def test_what_only_one_mode_keeps_is_refused_in_others():
 def test_calls_that_do_not_fit_the_engine_are_refused():
     engine, drawn = BatchEngine(FIELD, 1), BatchEngine(FieldSampler(), 1)
     engine.set_field(FIELD)
-    calls: tuple[tuple[Callable[[], object], str], ...] = (
+    calls = (
         (lambda: engine.set_sampler(None), "sampler: allowed in place of another"),
         (lambda: drawn.set_sampler(None), "sampler: NoneType; allowed"),
         (engine.knowledge, "knowledge: 'team'; allowed: 'own'"),

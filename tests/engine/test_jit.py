@@ -162,7 +162,7 @@ def test_every_source_and_its_place_count(tmp_path):
 
 
 def test_code_without_a_module_is_compiled_beside_the_engine():
-    names: dict[str, Any] = {}
+    names = {}
     exec("def double(x):\n    return 2 * x\n", names)
     assert numba.njit(names["double"])(2) == 4
 

@@ -36,7 +36,7 @@ ROW = Field(SQUARE, [(10.0, 55.0), (90.0, 90.0)], [(10.0 + 20.0 * k, 50.0) for k
     ids=str,
 )
 def test_words_pass_from_robot_to_robot(settings, steps):
-    how: dict[str, Any] = {**OWN, "sensing_radius": 25.0, "comm_radius": 25.0, **settings}
+    how = {**OWN, "sensing_radius": 25.0, "comm_radius": 25.0, **settings}
     engine = BatchEngine(ROW, 2, threads=1, **how)
     engine.reset()
     assert [entries(engine, 1)[f"other_{k}_present"] for k in (1, 2, 3)] == [1.0, 1.0, 0.0]
@@ -55,7 +55,7 @@ def test_words_pass_from_robot_to_robot(settings, steps):
 @pytest.mark.parametrize("delay", [0, 2])
 def test_recorded_words_are_those_that_were_received(delay, tmp_path):
     """Robot 0 sees the ROI in step 1; each other one learns of it from the one before it alone."""
-    rare: dict[str, Any] = {"comm_radius": 25.0, "comm_loss": 0.8, "comm_delay": delay}
+    rare = {"comm_radius": 25.0, "comm_loss": 0.8, "comm_delay": delay}
     config = make_config({**OWN, **rare, "sensing_radius": 25.0, "hidden_rois": True})
     played = play(ROW, config, np.zeros((90, 4, 2)), seed=3)
     loaded = load_episode(save_episode(played, tmp_path / "episode.json"))

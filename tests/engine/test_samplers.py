@@ -194,7 +194,7 @@ def test_teams_that_start_at_random_may_be_larger_than_the_starts():
 def test_robots_that_find_no_random_place_start_apart():
     """A strip 0.2 wide along the diagonal: of 1000 points in its box, a fifth of one is inside."""
     strip = Field([(0, 0), (0.2, 0), (1000, 999.8), (1000, 1000)], [(500, 499.9)], [(100, 99.9)])
-    how: dict[str, Any] = {"n_robots": 5, "random_starts": True}
+    how = {"n_robots": 5, "random_starts": True}
     how |= {"safety_distance": 0.5, "dtype": "float64"}
     engine = BatchEngine(strip, 20, seed=2, autoreset=False, **how)
     engine.reset()

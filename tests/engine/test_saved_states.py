@@ -95,7 +95,7 @@ def test_wrong_arrays_are_refused(value):
 
 @np.errstate(all="ignore")
 def edited(saved: dict[str, NDArray[Any]], rng: np.random.Generator) -> dict[str, Any]:
-    copies: dict[str, Any] = {name: array.copy() for name, array in saved.items()}
+    copies = {name: array.copy() for name, array in saved.items()}
     for _ in range(rng.integers(1, 4)):
         name = str(rng.choice(sorted(copies)))
         array = copies[name]

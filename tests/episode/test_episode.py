@@ -114,7 +114,7 @@ def test_every_form_of_the_environment_can_be_recorded(record, tmp_path):
 
 @pytest.mark.parametrize("autoreset", ["same_step", "next_step", "disabled"])
 def test_episode_after_episode(autoreset):
-    settings: dict[str, Any] = {"max_steps": 12, "random_starts": True, "safety_distance": 3.0}
+    settings = {"max_steps": 12, "random_starts": True, "safety_distance": 3.0}
     engine = BatchEngine("field_03", 3, autoreset=autoreset, **settings)
     returns, total = [], 0.0
     with EpisodeRecorder(engine, world=2) as recorder:
@@ -215,7 +215,7 @@ def test_starts_that_do_not_fit_are_listed():
 def document(tmp_path: Path) -> dict[str, Any]:
     episode = play(load_field("field_03"), make_config({}), moves(12), source="test", seed=1)
     path = save_episode(episode, tmp_path / "whole.json")
-    content: dict[str, Any] = json.loads(path.read_text())
+    content = json.loads(path.read_text())
     return content
 
 

@@ -96,7 +96,7 @@ INVALID: dict[tuple[str, str], list[Any]] = {
 @pytest.mark.parametrize(("place", "other"), INVALID)
 def test_problems_name_the_place(place, other):
     name = re.split(r"[.\[]", place)[0]
-    without: dict[str, Any] = {"holes": ()} if name in ("vertices", "starts") else {}
+    without = {"holes": ()} if name in ("vertices", "starts") else {}
     if name.endswith("kinds"):
         without = {"roi_kinds": (None,), "start_kinds": (0, 0)}
     for value in INVALID[place, other]:

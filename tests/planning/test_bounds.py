@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -130,7 +129,7 @@ def test_a_program_that_cannot_be_met_has_an_infinite_bound():
 
 def test_bounds_hold_where_rounding_of_a_strong_wind_moves_robots():
     # Force and wind all but cancel, and what is left of their float32 values is a little more.
-    settings: dict[str, Any] = {"f_max": 1000.2, "wind": (1000.05, 0.0)}
+    settings = {"f_max": 1000.2, "wind": (1000.05, 0.0)}
     lane = [(100.0, 100.0), (900.0, 100.0), (900.0, 300.0), (100.0, 300.0)]
     engine = BatchEngine(Field(lane, [(120, 200)], [(880, 200)]), 1, threads=1, **settings)
     engine.reset()
@@ -145,7 +144,7 @@ def test_bounds_hold_where_rounding_of_a_strong_wind_moves_robots():
 def test_long_episodes_do_not_weaken_the_bound():
     # Rounding may do much in 100,000 steps, but little in the 250 that matter here.
     field = Field(SQUARE, [(280, 200)], [(110, 200)])
-    settings: dict[str, Any] = {"f_max": 0.005, "max_steps": 100_000}
+    settings = {"f_max": 0.005, "max_steps": 100_000}
     # From rest, 160 units take 0.005 L (L + 1) / 2 >= 160.
     assert prove(make_problem(field, make_config(settings)), LATER).bound == 253
 

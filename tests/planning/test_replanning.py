@@ -1,7 +1,6 @@
 """The foresight of controllers, and plans round robots in the way."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -59,7 +58,7 @@ def test_weather_by_hand():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["brake", "coast"])
 def test_the_ways_of_failed_robots_are_foreseen(kind):
-    settings: dict[str, Any] = {
+    settings = {
         "failures": Failures(at={0: 9, 1: 7}, kind=kind),
         "wind": (0.1, 200.0),
     }

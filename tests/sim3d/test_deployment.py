@@ -91,7 +91,7 @@ def test_simulator_learns_once_who_fails():
 
 
 def test_wind_of_a_simulator_is_in_the_episode():
-    settings: dict[str, Any] = TWO | {"wind": (0.25, 90.0), "gust": 0.1, "max_steps": 5}
+    settings = TWO | {"wind": (0.25, 90.0), "gust": 0.1, "max_steps": 5}
     own, plane = (
         deploy(Wander(), SMALL, settings, kind()).episode for kind in (Windy, PlaneSimulator)
     )
@@ -102,7 +102,7 @@ def test_wind_of_a_simulator_is_in_the_episode():
 
 
 def test_deployed_episode_has_the_numbers_that_the_engine_draws():
-    settings: dict[str, Any] = TWO | {"mass": Uniform(1.0, 2.0), "max_steps": 5}
+    settings = TWO | {"mass": Uniform(1.0, 2.0), "max_steps": 5}
     engine = BatchEngine(SMALL, 1, seed=3, **settings)
     engine.reset()
     shown = deploy(Wander(), SMALL, settings, Windy(), seed=3).episode

@@ -22,7 +22,7 @@ starts: [[10, 10], [10, 90]]
 
 
 def square(**changes: Any) -> Field:
-    values: dict[str, Any] = {
+    values = {
         "vertices": SQUARE,
         "rois": [(90.0, 90.0)],
         "starts": [(10.0, 10.0), (10.0, 90.0)],

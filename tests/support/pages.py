@@ -135,7 +135,7 @@ def run_page(page: Path, folder: Path) -> None:
 
     Of its commands only ``mbn export`` is run, since the Python after it reads the file.
     """
-    names: dict[str, object] = {"__name__": "__main__"}
+    names = {"__name__": "__main__"}
     for block in blocks_of(page):
         if block.language in ("python", "yaml"):
             write_file(block, folder)

@@ -22,7 +22,7 @@ def snapshot(trail: Any = ((120.0, 200.0),), **changes: Any) -> Snapshot:
     path = np.asarray(trail, np.float64)
     path = path[:, None] if path.ndim == 2 else path
     robots, steps = path.shape[1], len(path) - 1
-    values: dict[str, Any] = {"field": FIELD, "trail": path, "positions": path[-1]}
+    values = {"field": FIELD, "trail": path, "positions": path[-1]}
     values |= {"velocities": np.zeros((robots, 2)), "headings": np.full(robots, np.nan)}
     values |= dict.fromkeys(("failed", "gone"), np.zeros(robots, bool))
     values |= {"visited": np.zeros(2, bool), "winds": np.zeros((1, 2))}

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from mbn_marl.field import Field
@@ -90,8 +89,8 @@ def _feasible(
     drift = [v + w * pushes for v, w in zip(velocity, wind, strict=True)]
     position = [once @ pushed] * 2
     carried = [start + once @ d for start, d in zip(field.starts[i], drift, strict=True)]
-    rows: list[NDArray[np.float64]] = []
-    limits: list[float] = []
+    rows = []
+    limits = []
 
     def add(step: int, x: float, y: float, limit: float) -> None:
         rows.append(np.concatenate([x * position[0][step - 1], y * position[1][step - 1]]))

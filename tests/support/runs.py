@@ -39,13 +39,13 @@ LEARNERS: dict[str, dict[str, Any]] = {
 
 
 def small_config(name: str, setting: Setting = "N") -> TrainConfig:
-    small: dict[str, Any] = TEAM
+    small = TEAM
     if name in LEARNERS:
         kind = {} if name == "ars" else {"policy": "MlpPolicy"}
         small = {"num_envs": 2, **kind, **LEARNERS[name]}
     environment = {"max_steps": 50, "random_starts": "scattered" not in small}
-    budget: dict[str, Any] = {"steps": 400, "evaluate_every": 150, "episodes": 2}
-    changes: dict[str, Any] = {"environment": environment, "hyperparameters": small}
+    budget = {"steps": 400, "evaluate_every": 150, "episodes": 2}
+    changes = {"environment": environment, "hyperparameters": small}
     return TrainConfig(name, "field_03", setting, **budget, **changes)
 
 
@@ -70,7 +70,7 @@ def recorded(run: RunFolder) -> dict[str, Any]:
 
 
 def same_policies(run: RunFolder, other: RunFolder) -> bool:
-    policies: list[Any] = [load_trained(one) for one in (run, other)]
+    policies = [load_trained(one) for one in (run, other)]
     ours, theirs = (policy.network.state_dict() for policy in policies)
     return ours.keys() == theirs.keys() and all(
         torch.equal(weight, theirs[name]) for name, weight in ours.items()

@@ -75,8 +75,8 @@ def pair(field: Any = "field_03", **settings: Any) -> tuple[BatchEngine, BatchEn
 def assert_same(cpu: BatchEngine, gpu: BatchEngine) -> None:
     """Everything that the engines tell, bit for bit."""
     outputs = ("observations", "rewards", "terminated", "truncated")
-    engines: Any = (cpu, gpu)
-    told: dict[str, Any] = {
+    engines = (cpu, gpu)
+    told = {
         **{name: [getattr(one._backend.output, name) for one in engines] for name in outputs},
         **{name: [getattr(one, name)() for one in engines] for name in ("state", "infos")},
         "reward_terms": [one.reward_terms() for one in engines],

@@ -129,7 +129,7 @@ class Plan:
 
     def _assigned(self, works: list[bool], left: list[int], weight: float) -> list[list[int]]:
         team = [i for i, able in enumerate(works) if able]
-        orders: list[list[int]] = [[] for _ in works]
+        orders = [[] for _ in works]
         new = [j for j in left if any(j in self._mine[i] for i in team)]
         while new:
             places = [(*self._best_place(team, orders, j, weight), j) for j in new]

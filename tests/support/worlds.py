@@ -65,7 +65,7 @@ def worlds(draw: st.DrawFn, n: int, **settings: Any) -> World:
         n_rois=draw(st.integers(1, 8)),
         n_starts=n,
     )
-    choices: dict[str, list[Any]] = {
+    choices = {
         "reward": [rules, RewardProfile(rules=rules, **OWN_WEIGHTS)],
         "wind": [(0.0, 0.0), (0.1, 30.0), (0.3, 217.0)],
         "mass": [1.0, 1.7, tuple(0.5 + 0.3 * k for k in range(n))],
@@ -123,7 +123,7 @@ def points_within(
     rng: np.random.Generator, area: shapely.Geometry, count: int, apart: float
 ) -> list[tuple[float, float]]:
     low_x, low_y, high_x, high_y = area.bounds
-    points: list[tuple[float, float]] = []
+    points = []
     while len(points) < count:
         x, y = float(rng.uniform(low_x, high_x)), float(rng.uniform(low_y, high_y))
         free = all(math.dist((x, y), other) >= apart for other in points)

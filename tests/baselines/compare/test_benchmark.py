@@ -111,7 +111,7 @@ def timeless(value: Any) -> Any:
 
 def test_the_numbers_of_an_instance_worked_out_by_hand():
     lists = {"returns": [0.0] * 4, "rois_visited": [0] * 4}
-    ends: dict[str, Any] = {
+    ends = {
         "successes": [True, True, False, False],
         "collisions": [False, False, True, False],
         "steps": [24, 36, 7, 1000],

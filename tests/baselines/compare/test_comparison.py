@@ -157,7 +157,7 @@ def test_runs_on_random_fields_are_of_their_tier(tmp_path):
     runs = [make_run(tmp_path, seed=seed, tier="1-convex", **random) for seed in (0, 1)]
     left_out = make_run(tmp_path, tier="1-convex", **random).run
     write_json(left_out.path / "config.json", {**left_out.config, "tier": None})
-    notes: list[str] = []
+    notes = []
     found = find_records([tmp_path], notes.append)
     assert [record.run.path for record in found] == [record.run.path for record in runs]
     assert notes == [f"left out: {left_out.path}, trained on random fields"]
@@ -277,7 +277,7 @@ def test_a_report_that_fails_leaves_nothing(tmp_path):
 
 
 def test_a_folder_whose_name_ends_as_a_page_is_a_folder(tmp_path, monkeypatch):
-    places: list[Place] = []
+    places = []
     results = Results.of(make_runs(tmp_path, {"mappo": [1.0, 0.5]}))
     monkeypatch.setattr("baselines.compare.run.train_all_runs", lambda *_, **how: results)
     monkeypatch.setattr(

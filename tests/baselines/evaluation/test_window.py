@@ -1,6 +1,6 @@
 """Watching and driving in a window that nobody sees."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,7 @@ def no_screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def at_frames(monkeypatch: pytest.MonkeyPatch, events: dict[int, tuple[int, int]]) -> None:
-    draw: Callable[..., Any] = Viewer.draw
+    draw = Viewer.draw
     frames = iter(range(100_000))
 
     def drawing(viewer: Viewer, snapshot: Any) -> Any:

@@ -203,7 +203,7 @@ def test_runs_that_are_not_their_settings_are_left_out(tmp_path, capsys):
 def test_of_two_runs_of_a_cell_the_finished_one_is_taken(tmp_path):
     killed = make_run(tmp_path / "a", [(1, 9e6, 0, 9e6, 9e6)], finished=False)
     whole = make_run(tmp_path / "b", [(1, 3e6, 0, 3e6, 3e6)])
-    notes: list[str] = []
+    notes = []
     found = find_trainings([tmp_path], notes.append)
     assert found.rows.return_mean.tolist() == [3e6] and found.runs.finished.tolist() == [True]
     (note,) = notes

@@ -32,7 +32,7 @@ def test_classical_policies(name, makespan):
 
 
 def test_they_leave_out_the_empty_rois():
-    own: dict[str, Any] = {"observation": "entities", "knowledge": "own", "decoys": 3}
+    own = {"observation": "entities", "knowledge": "own", "decoys": 3}
     engine = BatchEngine(FIELD, 3, seed=4, autoreset=False, **own)
     engine.reset()
     bounds = [plan(FIELD, visited=np.flatnonzero(row).tolist()).makespan for row in engine.decoys]

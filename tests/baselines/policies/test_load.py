@@ -116,7 +116,7 @@ def test_wrong_observations_and_sources_are_refused_by_place(tmp_path):
         with pytest.raises(ConfigError, match=r"state\(\)"):
             greedy.act(wrong)
     lonely = Field([(0, 0), (90, 0), (90, 90), (0, 90)], [(70, 70)], [(20, 20)], name="lonely")
-    sources: list[tuple[tuple[Any, ...], type[MbnError], str]] = [
+    sources = [
         (("zoo:nothing",), MbnError, "zoo:nothing"),
         ((tmp_path,), RunError, str(tmp_path)),
         (("gredy",), RunError, "gredy"),
@@ -162,12 +162,12 @@ def test_a_policy_of_ones_own(write):
     seen = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 3, 55)).astype(np.float32)
     np.testing.assert_array_equal(policy.act(seen), seen[..., :2])
     np.testing.assert_array_equal(policy.act(seen, deterministic=False), seen[..., :2] / 2)
-    half: Policy = load_policy(f"{module}:function")  # of any field
+    half = load_policy(f"{module}:function")  # of any field
     actions = half.act(seen[:, :2, :9], deterministic=True)
     np.testing.assert_array_equal(actions, seen[:, :2, :2] / 2)
     summary = evaluate(policy, "field_03", policy.settings, episodes=2, deterministic=True)
     assert summary.steps == [3, 3]
-    own: Any = policy.policy
+    own = policy.policy
     assert own._made.began == [None, [True, True]] and own._made.field == policy.field
 
 
@@ -279,7 +279,7 @@ def test_entries_that_a_policy_was_not_trained_with_are_not_shown_to_it(observes
 
 @pytest.mark.parametrize("observes", ["observations", "state"])
 def test_flags_of_failed_robots_are_zero_where_none_can_fail(observes):
-    turning: dict[str, Any] = {"dynamics": SHOWN["dynamics"]}
+    turning = {"dynamics": SHOWN["dynamics"]}
     failing = turning | {"failures": SHOWN["failures"]}
     engine, wanted = BatchEngine(HOME, 1, **turning), BatchEngine(HOME, 1, **failing)
     for one in (engine, wanted):

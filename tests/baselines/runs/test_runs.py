@@ -121,7 +121,7 @@ class Evil:
 def test_a_file_that_is_cut_off_or_a_pickle_is_named(name, tmp_path, tiny_runs):
     trap = tmp_path / "pwned"
     run = RunFolder(shutil.copytree(tiny_runs.finished(name).path, tmp_path / "finished"))
-    stopped: Any = tiny_runs.stopped(name, tmp_path / "stopped")
+    stopped = tiny_runs.stopped(name, tmp_path / "stopped")
     read = "**/*" if name == "ppo" else "*"  # mappo's policy is in the learner's file
     files = [(path, lambda: load_trained(run)) for path in run.policy.iterdir()]
     files += [
@@ -156,7 +156,7 @@ def test_an_archive_that_is_no_file_of_a_run_is_named(tmp_path):
             version = b"\x93NUMPY\x01\x00"
             archive.writestr("a.npy", version + struct.pack("<H", len(head)) + head)
 
-    makers: list[Callable[[], object]] = [
+    makers = [
         lambda: np.savez(place, allow_pickle=True, a=np.array([Evil(tmp_path / "pwned")], object)),
         lambda: place.write_bytes(pickle.dumps(Evil(tmp_path / "pwned"))),
         lambda: place.write_bytes(data),

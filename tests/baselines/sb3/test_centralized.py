@@ -35,7 +35,7 @@ NAMES = [name for name, entry in ALGORITHMS.items() if "A" in entry.settings]
 
 
 def test_every_setting_trains_from_the_command_line(tmp_path):
-    configs: dict[str, dict[str, Any]] = {}
+    configs = {}
     for setting, words in (("A", "field_01"), ("B", "field_03 --num-envs 2"), ("N", "field_03")):
         out = tmp_path / setting
         tiny = f"--steps 105 --episodes 1 --setting {setting} --out {out}".split()
@@ -96,17 +96,17 @@ def test_a_wrong_hyperparameter_file_is_refused_by_place(tmp_path):
     "name", ["a2c", "ars", "tqc", pytest.param("crossq", marks=pytest.mark.all)]
 )
 def test_transferred_learner_begins_with_the_policy_of_its_source(name, tmp_path):
-    small: dict[str, Any] = {"normalize_observation": name == "a2c"}
+    small = {"normalize_observation": name == "a2c"}
     if name in ("crossq", "tqc"):
         small["model"] = {"policy_kwargs": {"net_arch": [8]}, "batch_size": 8}
-    how: dict[str, Any] = {"episodes": 1, "hyperparameters": small}
+    how = {"episodes": 1, "hyperparameters": small}
     how["environment"] = {"max_steps": 20}
     run = train(TrainConfig(name, "field_01", "A", steps=120, **how), tmp_path / "source")
     config = TrainConfig(name, "field_02", "C", steps=100, transferred_from=run.path, **how)
     learner = Learner(*prepare(config), EpisodeWindow())
     learner.begin_with(run.policy)
     model = learner.model
-    policy: Any = load_trained(run)
+    policy = load_trained(run)
     ours, theirs = model.policy.state_dict(), policy.network.state_dict()
     assert all(torch.equal(ours[key], theirs[key]) for key in theirs)
     assert (model.num_timesteps, learner.env_steps) == (0, 0)
@@ -155,7 +155,7 @@ def test_transfer_goes_from_one_field_to_others(tmp_path, capsys):
 def test_only_a_finished_policy_of_the_same_learner_is_taken_over(tmp_path):
     path, out = tmp_path / "source", tmp_path / "moved"
     train(TrainConfig("a2c", "field_01", "A", steps=5, episodes=1), path)
-    budget: dict[str, Any] = {"steps": 5, "episodes": 1, "transferred_from": path}
+    budget = {"steps": 5, "episodes": 1, "transferred_from": path}
     moved = TrainConfig("a2c", "field_02", "C", **budget)
     for config, place in (
         (TrainConfig("ppo", "field_02", "C", **budget), "algorithm: "),
@@ -191,7 +191,7 @@ def config_of(name: str, **changes: Any) -> TrainConfig:
     model = {"n_steps": 8, "policy_kwargs": {"net_arch": [8]}}
     if name != "a2c":
         model["batch_size"] = 32
-    how: dict[str, Any] = {"steps": 256, "evaluate_every": 100, "episodes": 2}
+    how = {"steps": 256, "evaluate_every": 100, "episodes": 2}
     how["hyperparameters"] = {"num_envs": 4, "model": model, **AIDS, **changes}
     return TrainConfig(name, "field_03", environment={"safety_distance": 0.0}, **how)
 
@@ -199,7 +199,7 @@ def config_of(name: str, **changes: Any) -> TrainConfig:
 @pytest.mark.usefixtures("two_stages")
 @pytest.mark.parametrize("kind", [CentralizedVecEnv, SharedPolicyVecEnv])
 def test_change_of_size_truncates_the_episodes_that_run(kind):
-    made: list[NavigationVecEnv] = []
+    made = []
 
     def make(curriculum: RoiCurriculum) -> NavigationVecEnv:
         made.append(kind("field_03", WORLDS, roi_radius=10.0 * curriculum.radius, **LIVELY))
@@ -273,7 +273,7 @@ def test_other_learners_refuse_aids():
 
 @pytest.mark.parametrize("name", ["a2c", "ars"])
 def test_evaluation_is_of_the_policy_after_the_update(name, tmp_path):
-    how: dict[str, Any] = {"evaluate_every": 100, "episodes": 1}
+    how = {"evaluate_every": 100, "episodes": 1}
     how |= {"hyperparameters": {"model": {"learning_rate": 1.0}}, "environment": {"max_steps": 50}}
     runs = [
         train(TrainConfig(name, "field_03", "A", steps=steps, **how), tmp_path / str(steps))
@@ -288,7 +288,7 @@ ROBOTS = 3
 
 
 def test_learner_sees_scaled_rewards_and_the_window_true_team_returns():
-    changes: dict[str, Any] = {"num_envs": 2, "normalize_observation": False}
+    changes = {"num_envs": 2, "normalize_observation": False}
     rows = []
     for settings in ({"max_steps": 2}, {"roi_radius": 1000.0}):
         window, rewards = EpisodeWindow(), []

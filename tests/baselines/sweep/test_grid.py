@@ -66,7 +66,7 @@ def test_a_run_that_another_process_trains_is_left_to_it(tmp_path, monkeypatch):
 
 def test_runs_that_begin_with_a_policy_of_the_zoo_are_resumed(tmp_path):
     smallest = {"num_worlds": 8, "rollout_steps": 2, "minibatches": 1, "memory": 2}
-    how: dict[str, Any] = {"steps": 32, "episodes": 1, "transferred_from": Path("zoo:generalist")}
+    how = {"steps": 32, "episodes": 1, "transferred_from": Path("zoo:generalist")}
     run = TrainConfig("mappo", "field_03", "G", hyperparameters=smallest, **how)
     (outcome,) = train_runs([run], tmp_path, LocalEngine(1)).values()
     assert outcome.state == "done" and runs_left([run], tmp_path) == []
@@ -78,8 +78,8 @@ def test_a_process_that_dies_or_fails_fails_its_job_alone(tmp_path):
     jobs = [tmp_path / name for name in ("a", "b", "c", "bad")]
     for job in jobs[1:]:
         job.touch()
-    done: list[str] = []
-    ended: dict[str, Any] = {}
+    done = []
+    ended = {}
     LocalEngine(2).run(die_once, jobs, done.append, lambda job, end: ended.update({job.name: end}))
     assert sorted(done) == ["b", "c"]
     assert ended.pop("a") == Failure("a process died with exit code -9")

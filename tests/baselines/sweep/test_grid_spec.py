@@ -21,7 +21,7 @@ def test_the_examples_are_what_the_page_says(tmp_path):
     runs = runs_of(read_spec(tmp_path / "paper.yaml"))
     assert len(runs) == 180
     assert {run.steps for run in runs} == {5_000_000}
-    seen: set[str] = set()
+    seen = set()
     for run in runs:
         source = run.transferred_from
         assert source is None or source.name in seen, "a run comes before its source"
@@ -50,7 +50,7 @@ def test_axes_multiply_and_name_the_runs():
 def test_wrong_values_are_refused_by_place_and_nothing_is_made(tmp_path, refusal):
     whole, path = load_field("field_02"), tmp_path / "grid.yaml"
     save_field(Field(whole.vertices, whole.rois, whole.starts[:2]), tmp_path / "two.yaml")
-    cases: list[tuple[dict[str, Any], str]] = [
+    cases = [
         ({"algorithms": []}, "algorithms: "),
         ({"algorithms": ["ppo", "ppo"]}, "algorithms: ppo"),
         ({"algorithms": ["sac"]}, "algorithms.0: sac"),

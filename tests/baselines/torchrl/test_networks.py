@@ -9,7 +9,7 @@ from tensordict import TensorDict
 
 from baselines.policies.export import export_policy
 from baselines.policies.loaded import LoadedPolicy
-from baselines.policies.policy import Alone, Policy
+from baselines.policies.policy import Alone
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.memory import Past
 from baselines.torchrl.networks import GaussianPolicy, JointNormal, Key, TeamShape, ValueNetwork
@@ -32,7 +32,7 @@ SHAPES: dict[str, dict[str, Any]] = {
 
 
 def made(name: str, *, sets: bool, memory: int = 0) -> TeamShape:
-    size: dict[str, Any] = SETS if sets else {"obs_size": 5}
+    size = SETS if sets else {"obs_size": 5}
     return TeamShape(**size, n_robots=3, hidden=(8, 8), memory=memory, **SHAPES[name])
 
 
@@ -81,7 +81,7 @@ def test_a_saved_policy_goes_through_an_episode_as_an_update_through_its_chunk(
     with torch.no_grad():
         means = network.means(seen, Past(network.nothing(seen), begins)).numpy()
     TeamPolicy(network).save(tmp_path)
-    team: Policy = load_policy(tmp_path)
+    team = load_policy(tmp_path)
     for policy in [team] if name == "joint" else [team, Alone(load_policy(tmp_path), 3)]:
         for step in range(6):
             policy.reset(begins[:, step].numpy())

@@ -123,7 +123,7 @@ def test_robots_that_failed_do_not_move_the_actor(tmp_path, monkeypatch):
 )
 def test_a_run_of_setting_g_resumes(algorithm, field, changes, tmp_path):
     small = {"num_worlds": 4, "rollout_steps": 16, "hidden": [16, 16], "minibatches": 4, **changes}
-    budget: dict[str, Any] = {"steps": 320, "evaluate_every": 128, "episodes": 2}
+    budget = {"steps": 320, "evaluate_every": 128, "episodes": 2}
     fast = {"v_clip": [5.0, 3.5, 5.0]} if field == "field_03" else {}
     how = {"environment": {"max_steps": 100, **fast}, "hyperparameters": small}
     config = TrainConfig(algorithm, field, "G", **budget, **how)
@@ -231,7 +231,7 @@ def test_absent_robots_do_nothing_and_count_for_nothing(scene):
 def test_a_policy_of_random_fields_goes_anywhere_but_wants_a_field(tmp_path, refusal):
     small = small_config("mappo", "G")
     changes = {**small.hyperparameters, "scattered": 0.0, "roi_radius": 1.0}
-    where: dict[str, Any] = {"field": "random_convex", "environment": {**SEEN, "max_steps": 50}}
+    where = {"field": "random_convex", "environment": {**SEEN, "max_steps": 50}}
     run = train(replace(small, hyperparameters=changes, **where), tmp_path / "run")
     fields = load_fields("random_convex")
     assert run.fields == fields and isinstance(fields, FieldSampler)
@@ -287,7 +287,7 @@ def test_the_critic_begins_with_the_actors_encoder_and_learns_first():
     begins = {"steps": 96, "transferred_from": Path("zoo:generalist")}
     small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
     task, found = prepare(TrainConfig("mappo", "field_03", "G", hyperparameters=small, **begins))
-    seen: list[list[torch.Tensor]] = []
+    seen = []
 
     class Watched(Trainer):
         def _descend(self, *asked: Any) -> dict[str, float]:

@@ -128,7 +128,7 @@ def test_a_policy_can_be_looked_at_before_the_run_is_finished(tmp_path, tiny_run
 
 
 def test_interrupted_run_says_where_it_can_be_resumed_and_gives_threads_back(tmp_path, monkeypatch):
-    threads: list[int] = [3]
+    threads = [3]
     monkeypatch.setattr(torch, "get_num_threads", lambda: threads[-1])
     monkeypatch.setattr(torch, "set_num_threads", threads.append)
 
@@ -157,7 +157,7 @@ def test_only_the_same_run_can_be_resumed(tmp_path, tiny_runs):
 @pytest.mark.parametrize("name", ["mappo", "ppo"])
 def test_a_full_disk_leaves_the_checkpoint_before(name, tmp_path, tiny_runs):
     run = tiny_runs.stopped(name, tmp_path / "run")
-    kept: Any = run.checkpoint
+    kept = run.checkpoint
     before = {path: path.read_bytes() for path in kept.rglob("*") if path.is_file()}
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     for size in (0, 300, 3_000):
@@ -215,7 +215,7 @@ def train_on(field: Field, algorithm: str, out: Path, **how: Any) -> RunFolder:
     [("ppo", 131_072), ("ars", 65_536), ("tqc", 4096), ("mappo", 131_072), ("ppo-shared", 196_608)],
 )
 def test_easy_field_is_solved(algorithm, steps, tmp_path):
-    how: dict[str, Any] = {"steps": steps, "episodes": 20, "environment": {"max_steps": 100}}
+    how = {"steps": steps, "episodes": 20, "environment": {"max_steps": 100}}
     run = train_on(EASY, algorithm, tmp_path / "easy", evaluate_every=steps // 4, **how)
     final = run.evaluation
     assert passes(*(final[kind]["success_rate"] for kind in ("stochastic", "deterministic")))
@@ -235,7 +235,7 @@ OPTIMUM = 110_000.0 - 2 * 10 * 13
 @pytest.mark.all
 @pytest.mark.parametrize("algorithm", ALGORITHMS.keys() - {"crossq", "tqc"})
 def test_field_of_two_robots_is_solved_to_the_optimum(algorithm, tmp_path):
-    how: dict[str, Any] = {"steps": 196_608, "evaluate_every": 98_304, "episodes": 50}
+    how = {"steps": 196_608, "evaluate_every": 98_304, "episodes": 50}
     run = train_on(TINY, algorithm, tmp_path / "tiny", environment={"max_steps": 200}, **how)
     sampled, mean = run.evaluation["stochastic"], run.evaluation["deterministic"]
     assert sampled["success_rate"] == 1.0
@@ -283,7 +283,7 @@ def test_a_run_of_two_learners_resumes_in_the_second(name, tmp_path, monkeypatch
 
 @pytest.mark.parametrize("best", [1, 2, 3])
 def test_the_best_policy_on_the_way_is_kept_and_measured_again(best, tmp_path, monkeypatch):
-    seen: dict[int, dict[str, torch.Tensor]] = {}
+    seen = {}
 
     def made_up(policy: Any, *place: Any, **how: Any) -> Evaluation:
         found = evaluate(policy, *place, **how)
@@ -298,7 +298,7 @@ def test_the_best_policy_on_the_way_is_kept_and_measured_again(best, tmp_path, m
     final, steps = run.evaluation, [entry["env_steps"] for entry in run.evaluations]
     assert len(steps) == 3 and final["policy_env_steps"] == steps[best - 1]
     assert final["stochastic"]["episodes"] == 20 and final["stochastic"]["seed"] == EVALUATION_SEED
-    kept: Any = load_trained(run)
+    kept = load_trained(run)
     assert all(
         torch.equal(one, seen[best][name]) for name, one in kept.network.state_dict().items()
     )
