@@ -95,7 +95,6 @@ def test_wind_of_a_simulator_is_in_the_episode():
     own, plane = (
         deploy(Wander(), SMALL, settings, kind()).episode for kind in (Windy, PlaneSimulator)
     )
-    assert own.winds is not None and plane.winds is not None
     np.testing.assert_allclose(own.winds, plane.winds, rtol=1e-12)
     assert own.snapshot(5).wind == pytest.approx(plane.snapshot(5).wind)
     assert not np.array_equal(own.positions, plane.positions)

@@ -103,10 +103,9 @@ def test_policy_of_the_plane_flies():
     with MujocoSimulator() as simulator:
         real = deploy(make_classical("greedy", SMALL, {}), SMALL, {}, simulator)
     assert ideal.success and real.success
-    assert ideal.makespan is not None and real.makespan is not None
     assert 0.9 * ideal.makespan <= real.makespan <= 1.3 * ideal.makespan
     assert 0.01 < real.tracking_error < 0.3  # units
-    assert real.separation is not None and real.separation > 10.0
+    assert real.separation > 10.0
     assert ideal.tracking_error < 1e-4
     gaps = [math.dist(*moment) for moment in real.episode.positions.tolist()]
     assert real.separation == pytest.approx(min(gaps))

@@ -79,7 +79,7 @@ class Far(Small):
 
 def proved(k: int, field: Field) -> tuple[int, int]:
     found = plan(field, time_limit=20.0)
-    assert found.makespan is not None and found.optimal
+    assert found.optimal
     return found.makespan_lower_bound, found.makespan
 
 

@@ -96,7 +96,6 @@ def test_behind_the_shield_each_robot_keeps_away_by_its_row_alone(observation):
     assert observation == "entities" or not any(found.wall_hits), "entities shows no place"
     engine = BatchEngine("field_03", 2, threads=1, **own)
     shield, rows = Shielded(RandomPolicy()).fit(engine)._own, engine.reset(seed=1)
-    assert shield is not None
     actions = np.full((2, 3, 2), 0.7, np.float32)
     alone = [shield.act(actions[:, i : i + 1], rows[:, i : i + 1]) for i in range(3)]
     np.testing.assert_array_equal(np.concatenate(alone, 1), shield.act(actions, rows))

@@ -272,7 +272,7 @@ def test_entries_that_a_policy_was_not_trained_with_are_not_shown_to_it(observes
         expected = np.delete(shown, more, axis=2)[0]
     trained = Trained(observes)
     trained.fit(engine).act_in(engine, shown)
-    assert trained.seen is not None and trained.seen.shape[-1] == plain
+    assert trained.seen.shape[-1] == plain
     assert np.array_equal(trained.seen[0], expected)
     assert len(evaluate(Trained(observes), HOME, SHOWN, episodes=2).steps) == 2
 
@@ -291,7 +291,7 @@ def test_flags_of_failed_robots_are_zero_where_none_can_fail(observes):
     )
     trained = Trained(observes, **failing)
     trained.fit(engine).act(shown, deterministic=True)
-    assert trained.seen is not None and np.array_equal(trained.seen, expected)
+    assert np.array_equal(trained.seen, expected)
 
 
 def test_a_condition_replaces_weather_and_failures_but_not_the_robots():

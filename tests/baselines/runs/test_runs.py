@@ -67,7 +67,7 @@ def test_a_second_process_is_refused(tmp_path):
     first = subprocess.Popen(
         [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
-    assert first.stdout is not None and first.stdout.readline() == "on\n"
+    assert first.stdout.readline() == "on\n"
     with (
         pytest.raises(RunError, match=rf"another mbn train \(process {first.pid} on .* since 20"),
         alone(tmp_path, "mbn compare"),
