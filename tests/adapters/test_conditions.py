@@ -1,7 +1,6 @@
 """The checkers of every library pass in a storm, and infos tell what was drawn."""
 
 import warnings
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -16,7 +15,7 @@ from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import CONDITIONS
 from tests.support import configurations
 
-STORM: dict[str, Any] = {**configurations.STORM, "dynamics": ("holonomic", "unicycle", "bicycle")}
+STORM = {**configurations.STORM, "dynamics": ("holonomic", "unicycle", "bicycle")}
 OF_ID = {name: value for name, value in STORM.items() if name not in CONDITIONS["storm"]}
 pytestmark = pytest.mark.slow
 

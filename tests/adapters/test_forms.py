@@ -160,7 +160,7 @@ TEAMS, FEW = (1, 2, 3, 5, 7), (2, 3)
 LOCAL = {**OWN, "observation": "local"}
 HIDDEN = {"observation": "lidar_local", "hidden_rois": True}
 PLAIN = [{"observation": name} for name in ("relative", "local", "state")]
-COMPILED: dict[str, tuple[str, tuple[int, ...], list[dict[str, Any]]]] = {
+COMPILED = {
     "plain": ("float32", TEAMS, PLAIN),
     "precise": ("float64", TEAMS, PLAIN),
     "rays": ("float64", FEW, [{"observation": name} for name in LIDARS]),
@@ -228,7 +228,7 @@ DIAMOND = [(50.0, 0.0), (100.0, 50.0), (50.0, 100.0), (0.0, 50.0)]
 LETTER_L = [(0.0, 0.0), (100.0, 0.0), (100.0, 50.0), (60.0, 50.0), (60.0, 100.0), (0.0, 100.0)]
 HOLE = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
 STILL, RIGHT, LEFT, UP = (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)
-TIES: dict[str, tuple[dict[str, Any], list[list[tuple[float, float]]]]] = {
+TIES = {
     "onto the outline, then beyond": (
         {"vertices": SQUARE, "starts": [(99.5, 50.0)]},
         [[RIGHT]] * 2,

@@ -3,7 +3,6 @@
 import copy
 import math
 import pickle
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ from tests.support.configurations import STORM
 from tests.support.forms import INFO_KEYS, NOTHING
 
 TEAM = {"field": "field_01", "n_robots": 2, "reward": "formal", "reward_sharing": "team"}
-CONFIGURATIONS: dict[str, dict[str, Any]] = {
+CONFIGURATIONS = {
     "default": {},
     "team, short": TEAM | {"observation": "local", "max_steps": 30, "random_starts": True},
     "float64": {"dtype": "float64", "field": "field_09", "observation": "state", "wind": (0.05, 9)},

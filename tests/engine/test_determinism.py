@@ -17,9 +17,9 @@ from tests.support.worlds import OWN_DRAWN
 
 pytestmark = pytest.mark.slow
 STEPS = 1000
-SETTINGS: dict[str, Any] = {"random_starts": True, "max_steps": 90, "wind": (0.05, 40.0)}
+SETTINGS = {"random_starts": True, "max_steps": 90, "wind": (0.05, 40.0)}
 N = 3
-DISTURBED: dict[str, Any] = {
+DISTURBED = {
     **EVERYTHING,
     **{"gust": 0.1, "action_noise": 0.2, "action_loss": 0.3, "action_delay": 2},
     **{"position_noise": Uniform(0.5, 1.0), "velocity_noise": 0.1, "dropout": 0.2},
@@ -131,7 +131,7 @@ def test_loaded_worlds_wait_for_a_reset_as_saved():
         other.step(np.zeros((2, N, 2)))
 
 
-CASES: dict[str, dict[str, Any]] = {
+CASES = {
     "released": {"field": "field_01"},
     "formal": {"field": "field_07", "reward": "formal"},
     "several fields": {"field": ["field_03", "field_05", "field_10"], "autoreset": "next_step"},

@@ -2,7 +2,6 @@
 
 import re
 from contextlib import nullcontext
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -19,7 +18,7 @@ from tests.support.draws import drawn_settings
 from tests.support.pages import ROOT
 
 pytestmark = pytest.mark.slow
-DRAWN: dict[str, Any] = {
+DRAWN = {
     **{name: Uniform(1e-9, 2e-9) for name in ("gust", "action_loss", "dropout")},
     "wind": (0.2, Uniform(30.0, 400.0)),
     "mass": (1.0, Uniform(1.0, 2.0), Uniform(3.0, 4.0)),

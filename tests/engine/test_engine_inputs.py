@@ -56,7 +56,7 @@ def actions_with(value: float, world: int, robot: int, dtype: str = "float32") -
     return actions
 
 
-BAD_ACTIONS: list[tuple[Any, list[str]]] = [
+BAD_ACTIONS = [
     (np.zeros((N, 2)), ["(3, 2)", "(4, 3, 2)"]),
     (np.zeros((W, N, 3)), ["(4, 3, 3)"]),
     (None, []),
@@ -70,7 +70,7 @@ BAD_ACTIONS: list[tuple[Any, list[str]]] = [
     (actions_with(np.nan, 1, 0)[:, ::-1], ["world 1", "robot_2"]),
     *((np.full((W, N, 2), np.nan, kind), ["world 0"]) for kind in ("longdouble", ">f4", "<f2")),
 ]
-BAD_MASKS: list[tuple[Any, list[str]]] = [
+BAD_MASKS = [
     (np.ones(W + 1, np.bool_), ["(5,)", "(4,)"]),
     (np.ones(W, np.int32), ["int32"]),
     (True, ["()"]),
@@ -78,7 +78,7 @@ BAD_MASKS: list[tuple[Any, list[str]]] = [
 ]
 BAD_SEEDS = [-1, 2**63, 1.5, "seven", float("nan"), True]
 Call = tuple[Callable[[BatchEngine], object], type[Exception], list[str]]
-BAD_CALLS: list[Call] = [
+BAD_CALLS = [
     *((lambda e, a=a: e.step(a), ActionError, ["actions", *w]) for a, w in BAD_ACTIONS),
     *((lambda e, m=m: e.reset_worlds(m), ActionError, ["mask", *w]) for m, w in BAD_MASKS),
     *((lambda e, s=s: e.reset(s), ConfigError, ["seed", repr(s)]) for s in BAD_SEEDS),
@@ -177,7 +177,7 @@ def test_ended_worlds_can_be_skipped():
 
 STRICT = "mass.1 mass.2 max_steps one_hot"
 LATE = Failures(rate=0.1, most=0, between=(1001, 1002))
-BAD_SETTINGS: list[tuple[dict[str, Any], str]] = [
+BAD_SETTINGS = [
     ({"gravity": 9.81, "wind": (math.nan, 0.0), "reward": "greedy"}, "gravity wind.0 reward"),
     ({"wind": (1.0,), "reward_sharing": "all"}, "wind.1 reward_sharing"),
     ({"wind": (-1.0, -1e39), "observation": "pixels"}, "wind.0 wind.1 observation"),

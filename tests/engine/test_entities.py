@@ -10,7 +10,7 @@ from tests.support.configurations import EVERYTHING, SIGHTS, entries
 from tests.support.worlds import ASSIGNED
 
 pytestmark = pytest.mark.slow
-FAILING: dict[str, Any] = {
+FAILING = {
     **{**EVERYTHING, **SIGHTS["entities"], "dynamics": "holonomic"},
     "failures": Failures(at={0: 1}),
 }

@@ -1,7 +1,6 @@
 """ROIs for robots of one kind, by hand; ``test_forms`` compares the oracle."""
 
 import itertools
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from mbn_marl.planning import plan
 from tests.support.configurations import entries
 from tests.support.planning_cases import SQUARE
 
-PLACES: dict[str, Any] = {
+PLACES = {
     **{"vertices": SQUARE, "rois": [(120.0, 120.0), (280.0, 120.0), (200.0, 140.0)]},
     **{"starts": [(120.0, 120.0), (280.0, 120.0)], "name": "swap"},
 }

@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from mbn_marl.optimum import optimal_makespan
 from mbn_marl.planning.problem import make_problem
 from tests.support.configurations import entries
 
-OWN: dict[str, Any] = {"observation": "entities", "knowledge": "own"}
+OWN = {"observation": "entities", "knowledge": "own"}
 SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
 ROW = Field(SQUARE, [(10.0, 55.0), (90.0, 90.0)], [(10.0 + 20.0 * k, 50.0) for k in range(4)])
 

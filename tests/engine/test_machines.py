@@ -3,7 +3,6 @@
 import hashlib
 import json
 import platform
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from tests.support.configurations import SAMPLER, STORM
 
 STEPS, WORLDS = 150, 40
 ALL_DYNAMICS = ("point_mass", "holonomic", "unicycle", "bicycle")
-BATCHES: dict[str, tuple[Any, dict[str, Any]]] = {
+BATCHES = {
     "catalogue, float64": (
         catalogue_names(),
         {

@@ -14,11 +14,11 @@ from tests.support.configurations import EVERYTHING, SAMPLER, STORM
 from tests.support.worlds import OWN_DRAWN
 
 STORMY = {**STORM, "n_robots": 4, "failures": Failures(rate=0.01), "action_delay": 2}
-FORMAL: dict[str, Any] = {
+FORMAL = {
     **{**EVERYTHING, "reward": "formal", "action_noise": 0.2, "action_loss": 0.3},
     **{"gust": 0.1, "position_noise": Uniform(0.5, 1.0), "max_steps": 40, "random_starts": True},
 }
-CONFIGURATIONS: dict[str, tuple[Any, dict[str, Any]]] = {
+CONFIGURATIONS = {
     "default": ("field_03", {"max_steps": 30}),
     "formal": ("field_03", {**FORMAL, "autoreset": "next_step"}),
     "kept plan": ("field_04", {**STORM, "assignment": True, "action_delay": 1}),

@@ -28,7 +28,7 @@ from mbn_marl.episode.files import CodedArray
 from mbn_marl.errors import ConfigError, EpisodeError, MbnError
 from tests.support.configurations import EVERYTHING
 
-SETTINGS: dict[str, Any] = {"wind": (0.2, 30.0), "max_steps": 40}
+SETTINGS = {"wind": (0.2, 30.0), "max_steps": 40}
 
 
 def moves(steps: int, robots: int = 3, seed: int = 0) -> Any:
@@ -279,7 +279,7 @@ def test_file_from_before_a_term_and_a_setting_is_read(document, tmp_path):
     check_episode(old)
 
 
-ALL: dict[str, Any] = {
+ALL = {
     **{**EVERYTHING, "dynamics": "mixed", "gust": 0.1, "action_delay": 2, "position_noise": 2.0},
     **{"wind": (Uniform(0.1, 0.35), Uniform(0.0, 360.0)), "roi_radius": Uniform(5.0, 15.0)},
     **{"failures": Failures(rate=0.1, most=2), "random_starts": True, "max_steps": 15},

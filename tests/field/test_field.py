@@ -5,7 +5,6 @@ import json
 import math
 import pickle
 import re
-from typing import Any
 
 import numpy as np
 import pytest
@@ -57,7 +56,7 @@ def test_values_are_equal_and_immutable():
 
 
 # The place of a problem, another place that it names, and arguments with no other problem.
-INVALID: dict[tuple[str, str], list[Any]] = {
+INVALID = {
     ("vertices", ""): [SQUARE[:2], "triangle", [(0, 0), (50, 50), (100, 100)], circle(501)],
     ("rois", ""): [[], None, [(90, 80 + k / 4) for k in range(25)], {(90, 90)}],
     ("starts", ""): [(), [(5 + 10 * (k % 9), 5 + 10 * (k // 9)) for k in range(65)]],

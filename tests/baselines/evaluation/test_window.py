@@ -18,7 +18,7 @@ from mbn_marl.render import Viewer
 pytestmark = [pytest.mark.slow, pytest.mark.all]
 pygame = pytest.importorskip("pygame", reason="needs the extra [render]")
 
-FAST: dict[str, Any] = {"speed": 5000.0, "episodes": 1, "rest": 0.0}
+FAST = {"speed": 5000.0, "episodes": 1, "rest": 0.0}
 
 
 @pytest.fixture(autouse=True)

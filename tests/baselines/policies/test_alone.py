@@ -16,7 +16,7 @@ from baselines.torchrl.policy import TeamPolicy
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
 
-OWN: dict[str, Any] = {"observation": "local", "knowledge": "own"}
+OWN = {"observation": "local", "knowledge": "own"}
 SEEN = np.random.default_rng(0).normal(size=(4, 2, 3, 7)).astype(np.float32)
 
 

@@ -1,7 +1,6 @@
 """Policies without learning, and their commands."""
 
 import json
-from typing import Any
 
 import numpy as np
 import pytest
@@ -49,7 +48,7 @@ def test_actions_of_another_field_and_of_blind_robots_fail(name, field):
     assert evaluate(policy, FIELD, where, episodes=1).successes == [False]
 
 
-LOCAL: dict[str, Any] = {"observation": "lidar_local", "knowledge": "own", "comm_radius": 50.0}
+LOCAL = {"observation": "lidar_local", "knowledge": "own", "comm_radius": 50.0}
 
 
 @pytest.mark.parametrize("field", ["field_03", "field_09"])  # field_09 has corners to go round
@@ -139,7 +138,7 @@ YARD = Field(  # with a hole
     [(130, 140), (150, 150), (130, 170)],
     holes=[[(190, 180), (230, 190), (210, 230)]],
 )
-FAILURES: dict[str, Any] = {"failures": Failures(at={1: 30})}
+FAILURES = {"failures": Failures(at={1: 30})}
 
 
 class Pusher(Policy):

@@ -210,7 +210,7 @@ CORNERS = [(0, 0), (200, 0), (200, 200), (0, 200)]
 HOME = Field(CORNERS, [(130, 100)], [(100, 100), (20, 100)], arena=(200, 200))
 LARGER = Field(CORNERS, HOME.rois, HOME.starts, arena=(400, 400))
 OTHER = Field(CORNERS, [(130, 100), (50, 50)], HOME.starts, arena=(300, 200))
-SHOWN: dict[str, Any] = {
+SHOWN = {
     **{"dynamics": ("point_mass", "unicycle"), "failures": {"at": {1: 3}}},
     **{"wind": (0.1, 30.0), "max_steps": 6},
 }

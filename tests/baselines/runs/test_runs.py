@@ -197,7 +197,7 @@ WEIGHTS = (
     lambda weight: weight.long(),
     lambda weight: weight[None],
 )
-EDITS: list[tuple[str, str, Callable[[Any], Any]]] = [
+EDITS = [
     *(("mappo", "policy.json", with_entry(k, v)) for k in MAPPO for v in (None, "x", -3, 10**12)),
     ("mappo", "policy.json", with_entry("tokens", {"own": 3})),
     *(("ppo-shared", "policy.json", with_entry(k, v)) for k in SHARED for v in (None, "x")),
@@ -220,7 +220,7 @@ EDITS: list[tuple[str, str, Callable[[Any], Any]]] = [
     ("mappo", "counters.json", past_the_key),
     ("ppo", "counters.json", past_the_key),
 ]
-READERS: dict[str, Any] = {".json": read_json, ".npz": read_arrays, ".safetensors": read_tensors}
+READERS = {".json": read_json, ".npz": read_arrays, ".safetensors": read_tensors}
 
 
 @pytest.mark.parametrize(("name", "file", "change"), EDITS)

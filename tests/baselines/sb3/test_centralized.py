@@ -178,7 +178,7 @@ def test_only_a_finished_policy_of_the_same_learner_is_taken_over(tmp_path):
 WORLDS = 64
 LIVELY = {"safety_distance": 50.0, "random_starts": True, "max_steps": 10, "seed": 2, "threads": 1}
 """Settings under which some worlds have a collision while others still run."""
-AIDS: dict[str, Any] = {"episode_steps": 24, "roi_radius": 4.0}
+AIDS = {"episode_steps": 24, "roi_radius": 4.0}
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """Networks with a memory, over teams, and shared in part."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
@@ -21,7 +19,7 @@ from mbn_marl.field import load_field
 ENGINE = BatchEngine("field_03", 1, threads=1, observation="entities")
 SETS = {"obs_size": ENGINE.obs_size, "tokens": Tokens.of(ENGINE.observation_table)}
 IDS = tuple(map(tuple, torch.eye(3).tolist()))
-SHAPES: dict[str, dict[str, Any]] = {
+SHAPES = {
     "none": {"sharing": "none"},
     "groups": {"sharing": "groups", "groups": (0, 1, 0)},
     "full": {"sharing": "full"},

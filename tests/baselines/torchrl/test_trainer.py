@@ -139,7 +139,7 @@ def test_robots_are_alike_in_dynamics_limits_and_kind():
         assert first != second and (first == third) == alike
 
 
-SEEN: dict[str, Any] = {"observation": "entities", "assignment": True}
+SEEN = {"observation": "entities", "assignment": True}
 TEAMS = FieldSampler(robots=(2, 4), rois=(3, 5), seed=7)
 WORLDS = 24
 OF_RAYS = {"x": lambda k: (4 - k) % 8, "y": lambda k: -k % 8, "swap": lambda k: (2 - k) % 8}
