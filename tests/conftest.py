@@ -1,8 +1,6 @@
 """Settings of the whole test run."""
 
 import os
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -18,7 +16,7 @@ settings.load_profile("repeatable")
 
 
 @pytest.fixture(scope="session", autouse=True)
-def own_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def own_home(tmp_path_factory):
     """A place for the user's key that is no user's."""
     with pytest.MonkeyPatch.context() as patch:
         home = tmp_path_factory.mktemp("config")

@@ -1,7 +1,6 @@
 """Fixtures of the tests of baselines."""
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import pytest
 
@@ -12,9 +11,7 @@ Refusal = Callable[[Sequence[str]], str]
 
 
 @pytest.fixture
-def refusal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Refusal:
+def refusal(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
     def run(words: Sequence[str]) -> str:

@@ -7,14 +7,14 @@ import pytest
 
 from benchmarks import speed
 from benchmarks.__main__ import SUBJECTS, main
-from benchmarks.report import Findings, Measurement
+from benchmarks.report import Measurement
 from benchmarks.speed import Budget, Case, Speed, interleaved
 
 TINY = Budget(rounds=2, seconds=0.0, warm_up=3, worlds=10, many_worlds=16, startup=False)
 
 
 @pytest.fixture(scope="module")
-def findings() -> Findings:
+def findings():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(speed, "VMAS_WORLDS", (8,))
         patch.setattr(Speed, "budget", TINY)

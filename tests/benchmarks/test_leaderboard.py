@@ -2,7 +2,6 @@
 
 import copy
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,7 @@ def test_the_committed_searches_are_of_the_fields_of_today():
 
 
 @pytest.fixture(scope="module")
-def frozen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def frozen(tmp_path_factory):
     folder = tmp_path_factory.mktemp("splits")
     shutil.copy(Path(str(splits.FOLDER)) / "protocol.json", folder)
     write_splits(folder, 1)
@@ -47,7 +46,7 @@ def frozen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def results(frozen: Path, tmp_path_factory: pytest.TempPathFactory) -> Results:
+def results(frozen, tmp_path_factory):
     # Random is made as if it were behind the shield and did not fit the second tier.
     out, tiers = tmp_path_factory.mktemp("out"), load_tiers("test", load_protocol().tiers)
     made = {

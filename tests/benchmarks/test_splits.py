@@ -1,7 +1,6 @@
 """``python -m benchmarks splits``, in small."""
 
 import dataclasses
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,7 +21,7 @@ CONVEX = Splits(tier=("1-convex",), split=("test",), count=3, seconds=60.0)
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("splits")
     assert dataclasses.replace(CONVEX, out=folder).run("command")
     return folder / "test-1-convex.json"

@@ -2,7 +2,6 @@
 
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pandas
@@ -26,7 +25,7 @@ RUNS = "".join(
 
 
 @pytest.fixture
-def results(tmp_path: Path) -> Path:
+def results(tmp_path):
     for study in ("forms", "aids", FIELDS):
         (tmp_path / study).mkdir()
         own = [name for name, place in COLUMNS.items() if place == study and name != "mappo"]

@@ -35,7 +35,7 @@ NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
 @pytest.fixture(scope="module")
-def engine() -> BatchEngine:
+def engine():
     return BatchEngine("field_03", 200, threads=1, **{**EVERYTHING, **DRAWN, "max_steps": 4})
 
 

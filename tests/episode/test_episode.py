@@ -4,7 +4,6 @@ import base64
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -212,7 +211,7 @@ def test_starts_that_do_not_fit_are_listed():
 
 
 @pytest.fixture
-def document(tmp_path: Path) -> dict[str, Any]:
+def document(tmp_path):
     episode = play(load_field("field_03"), make_config({}), moves(12), source="test", seed=1)
     path = save_episode(episode, tmp_path / "whole.json")
     content = json.loads(path.read_text())

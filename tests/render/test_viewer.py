@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from typing import Any
 
 import numpy as np
 import pytest
@@ -76,7 +75,7 @@ def test_size_of_an_environments_pictures_is_an_argument(make, render_mode, size
 
 
 @pytest.fixture
-def no_screen(monkeypatch: pytest.MonkeyPatch) -> Any:
+def no_screen(monkeypatch):
     """SDL's driver that shows nothing; the display is closed afterwards."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     yield

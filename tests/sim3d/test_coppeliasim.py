@@ -3,7 +3,6 @@
 import re
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +34,7 @@ EMPTY = (["Floor"], 0, STOPPED)
 
 
 @pytest.fixture
-def server() -> Iterator[CoppeliaServer]:
+def server():
     with CoppeliaServer() as running:
         yield running
 

@@ -134,7 +134,7 @@ def test_drawn_limits_do_not_change_the_scale_of_observations():
 
 
 @pytest.fixture
-def tracked() -> tuple[BatchEngine, TrackedWorld]:
+def tracked():
     """Two robots at (120, 120) and (380, 120), commanded to stay."""
     engine = BatchEngine(SMALL, 1, autoreset=False, threads=1)
     world = TrackedWorld(engine)

@@ -135,7 +135,7 @@ def test_unknown_names_and_a_missing_mujoco_are_errors(monkeypatch):
 
 
 @pytest.fixture
-def opengl() -> None:
+def opengl():
     mujoco = load_mujoco()
     try:
         mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).close()

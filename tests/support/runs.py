@@ -96,7 +96,7 @@ class TinyRuns:
 
 
 @pytest.fixture(scope="session")
-def tiny_runs(tmp_path_factory: pytest.TempPathFactory) -> TinyRuns:
+def tiny_runs(tmp_path_factory):
     base = tmp_path_factory.getbasetemp()
     workers = "PYTEST_XDIST_WORKER" in os.environ  # whose folders are in one
     return TinyRuns((base.parent if workers else base) / "runs")

@@ -48,7 +48,7 @@ def is_alive_after_a_moment(thread: threading.Thread) -> bool:
 
 
 @pytest.fixture(autouse=True)
-def simulator(monkeypatch: pytest.MonkeyPatch) -> None:
+def simulator(monkeypatch):
     monkeypatch.setattr(cuda, "Device", SimulatedDevice)
     monkeypatch.setattr(cuda_kernels, "MOST_THREADS", 2)
     allocate, lock = FakeCUDAShared.array, threading.Lock()

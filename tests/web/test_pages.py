@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from tests.support.records import make_run
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
+def browser(tmp_path_factory):
     if PROGRAM is None:
         pytest.skip(MISSING)
     with Chromium(tmp_path_factory.mktemp("chromium")) as running:
@@ -76,7 +75,7 @@ def opened(browser: Chromium, folder: Path, *episodes: Episode) -> Chromium:
 
 
 @pytest.fixture
-def page(browser: Chromium, tmp_path: Path) -> Chromium:
+def page(browser, tmp_path):
     return opened(browser, tmp_path, SHORT, LONG)
 
 
@@ -229,7 +228,7 @@ def test_page_holds_its_episodes():
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def runs(tmp_path_factory):
     """Two finished runs of one algorithm, with the zoo's policy and made-up evaluations."""
     folder, entry = tmp_path_factory.mktemp("runs"), ENTRIES / "field_03"
     config = json.loads((entry / "config.json").read_text())

@@ -179,7 +179,7 @@ def test_compilation_is_announced_once(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded(tmp_path_factory):
     path = tmp_path_factory.mktemp("episodes") / "learned.json"
     assert main(["render", "zoo:field_03", "-o", str(path)]) == 0
     return path

@@ -1,7 +1,6 @@
 """``mbn deploy``: the table, the files, and what is refused before anything is touched."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ pytest.importorskip("mujoco", reason="needs mbn_marl[sim3d]")
 
 
 @pytest.fixture
-def small_file(tmp_path: Path) -> str:
+def small_file(tmp_path):
     path = tmp_path / "bend.yaml"
     save_field(SMALL, path)
     return str(path)

@@ -3,7 +3,7 @@
 import json
 import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +84,7 @@ def proved(k: int, field: Field) -> tuple[int, int]:
 
 
 @pytest.fixture(autouse=True, scope="module")
-def frozen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def frozen(tmp_path_factory):
     folder = tmp_path_factory.mktemp("splits")
     shutil.copy(Path(str(splits.FOLDER)) / "protocol.json", folder)
     write_splits(folder, COUNT)
@@ -95,7 +95,7 @@ def frozen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def greedy(frozen: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def greedy(frozen, tmp_path_factory):
     return run("greedy", ["1-convex"], tmp_path_factory.mktemp("greedy"))
 
 

@@ -182,7 +182,7 @@ AIDS = {"episode_steps": 24, "roi_radius": 4.0}
 
 
 @pytest.fixture
-def two_stages(monkeypatch: pytest.MonkeyPatch) -> None:
+def two_stages(monkeypatch):
     monkeypatch.setattr(aids, "STAGES", 2)
     monkeypatch.setattr(aids, "SUCCESS", (0.0, 0.0))
 

@@ -3,7 +3,6 @@
 import json
 import subprocess
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -36,7 +35,7 @@ GRID = {
 
 
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[Any]:
+def cluster():
     head = {**NODE, "num_cpus": 0, "include_dashboard": False}
     patch = pytest.MonkeyPatch()
     patch.setenv("RAY_worker_niceness", "0")

@@ -186,7 +186,7 @@ class Scene:
 
 
 @pytest.fixture(scope="module", params=[True, False])
-def scene(request: pytest.FixtureRequest) -> Scene:
+def scene(request):
     return Scene(assignment=request.param)
 
 

@@ -35,7 +35,7 @@ def table(folder: Path) -> list[dict[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def study(tmp_path_factory):
     out = tmp_path_factory.mktemp("studies") / "study"
     assert main(["tune", "a2c", *TINY, "--trials", "1", "--out", str(out)]) == 0
     return out

@@ -18,7 +18,6 @@ from baselines.runs.files import RunError, read_json, write_json
 from baselines.runs.folder import RunFolder
 from baselines.zoo.make import LARGEST, make_entry
 from mbn_marl.field import FieldSampler, catalogue_names, load_field, save_field
-from tests.support.runs import TinyRuns
 
 ROOT = Path(__file__).parents[3]
 ANYWHERE = ("generalist", "generalist-hint", "search")
@@ -28,7 +27,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def run(tiny_runs: TinyRuns, tmp_path: Path) -> RunFolder:
+def run(tiny_runs, tmp_path):
     shutil.copytree(tiny_runs.finished("mappo").path, tmp_path / "source")
     command = "mbn train mappo field_03 --seed 4 --out '/home/me/my runs' --force --out=x --resume"
     (tmp_path / "source" / "command.txt").write_text(command)
@@ -36,7 +35,7 @@ def run(tiny_runs: TinyRuns, tmp_path: Path) -> RunFolder:
 
 
 @pytest.fixture
-def zoo(run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def zoo(run, tmp_path, monkeypatch):
     folder = tmp_path / "baselines" / "zoo"
     make_entry(run, folder / "tiny")
     monkeypatch.setattr(load, "ENTRIES", folder)
