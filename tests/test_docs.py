@@ -69,7 +69,6 @@ def test_python_in_tables_runs(page):
 @pytest.mark.parametrize("page", RUN, ids=lambda page: str(page.relative_to(ROOT)))
 def test_python_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # a window that nobody sees
     pages.write_own_files(tmp_path)
     pages.run_page(page, tmp_path)
 

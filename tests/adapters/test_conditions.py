@@ -20,8 +20,7 @@ OF_ID = {name: value for name, value in STORM.items() if name not in CONDITIONS[
 pytestmark = pytest.mark.slow
 
 
-def test_the_checkers_of_all_libraries_pass(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+def test_the_checkers_of_all_libraries_pass():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Gymnasium's advice on raw units
         check_env(gymnasium.make("mbn/field_03-storm-v0", **OF_ID).unwrapped)

@@ -53,8 +53,7 @@ def test_pettingzoos_checkers_pass(settings):
 
 
 @pytest.mark.slow
-def test_the_checkers_of_raw_env_pictures_and_max_cycles_pass(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+def test_the_checkers_of_raw_env_pictures_and_max_cycles_pass():
     api_test(navigation_v0.raw_env(), num_cycles=50)
     render_test(navigation_v0.env)
     max_cycles_test(navigation_v0)

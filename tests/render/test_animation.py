@@ -6,13 +6,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 from mbn_marl.errors import MbnError
 from mbn_marl.render import Viewer, write_gif, write_mp4
 from tests.support.pictures import SIZE, draw, snapshot, wander
 
-pytest.importorskip("PIL", reason="needs the extra [render]")
-pytest.importorskip("imageio_ffmpeg", reason="needs the extra [render]")
 SQUARE = np.zeros((4, 4, 3), np.uint8)
 
 
@@ -54,8 +53,6 @@ def test_animation_is_written_without_holding_its_frames(name, tmp_path):
 
 
 def test_gif_holds_the_frames_and_is_small(tmp_path):
-    from PIL import Image
-
     trail, viewer = wander(30, 3), Viewer("rgb_array", SIZE)
     frames = [draw(snapshot(trail[: step + 1]), viewer) for step in range(31)]
     path = write_gif(frames, tmp_path / "new" / "episode.gif")

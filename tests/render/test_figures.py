@@ -6,22 +6,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mbn_marl.errors import MbnError
 from mbn_marl.field import Field
-from mbn_marl.render import style
-from tests.support.pictures import snapshot
+from mbn_marl.render import figures, style
+from tests.support.pictures import SQUARE, snapshot
 
-matplotlib = pytest.importorskip("matplotlib", reason="needs the extra [render]")
-
-from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402  (after the skip)
-from matplotlib.colors import to_rgb  # noqa: E402
-from matplotlib.figure import Figure  # noqa: E402
-
-from mbn_marl.render import figures  # noqa: E402
-
-SQUARE = [(100.0, 100.0), (300.0, 100.0), (300.0, 300.0), (100.0, 300.0)]
 HOLE = [(180.0, 180.0), (220.0, 180.0), (220.0, 220.0), (180.0, 220.0)]
 ROIS = [(150.0, 150.0), (250.0, 250.0)]
 STARTS = [(120.0, 200.0), (280.0, 200.0)]

@@ -7,8 +7,6 @@ from mbn_marl.field import Field
 from mbn_marl.render import Viewer, style
 from tests.support.pictures import FIELD, HOLE, SIZE, SQUARE, draw, snapshot, wander, where
 
-pytest.importorskip("pygame", reason="needs the extra [render]")
-
 
 @pytest.mark.parametrize("position", [(200.0, 290.0), (200.0, 110.0), (285.0, 240.0)])
 def test_robot_is_drawn_where_it_is_with_y_up_and_holes_are_obstacles(position):

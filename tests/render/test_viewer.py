@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pygame
 import pytest
 
 from mbn_marl import centralized_env, parallel_env
@@ -13,8 +14,6 @@ from mbn_marl.adapters.gymnasium import CentralizedVectorEnv
 from mbn_marl.errors import ConfigError
 from mbn_marl.render import Viewer
 from tests.support.pictures import SIZE, draw, snapshot
-
-pygame = pytest.importorskip("pygame", reason="needs the extra [render]")
 
 
 def test_frame_is_a_new_array_of_height_width_and_three_channels():
@@ -64,7 +63,6 @@ def test_every_wrong_argument_is_listed():
 @pytest.mark.parametrize("render_mode", ["human", "rgb_array"])
 @pytest.mark.parametrize("make", [parallel_env, centralized_env])
 @pytest.mark.parametrize("size", [{}, {"render_size": (500, 300)}])
-@pytest.mark.usefixtures("no_screen")
 def test_size_of_an_environments_pictures_is_an_argument(make, render_mode, size):
     env = make("field_03", render_mode=render_mode, **size)
     env.reset(seed=0)
@@ -74,15 +72,12 @@ def test_size_of_an_environments_pictures_is_an_argument(make, render_mode, size
     assert tuple(shown) == size.get("render_size", (800, 800))
 
 
-@pytest.fixture
-def no_screen(monkeypatch):
-    """SDL's driver that shows nothing; the display is closed afterwards."""
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+@pytest.fixture(autouse=True)
+def closed_display():
     yield
     pygame.display.quit()
 
 
-@pytest.mark.usefixtures("no_screen")
 def test_window_shows_the_frame():
     viewer = Viewer("human", SIZE, frame_rate=1000.0)
     assert viewer.draw(snapshot()) is None
@@ -93,7 +88,6 @@ def test_window_shows_the_frame():
     assert not pygame.display.get_init()
 
 
-@pytest.mark.usefixtures("no_screen")
 def test_another_window_outlives_a_closed_one():
     one, other = (Viewer("human", SIZE, frame_rate=1000.0) for _ in range(2))
     one.draw(snapshot())
@@ -103,7 +97,6 @@ def test_another_window_outlives_a_closed_one():
     assert pygame.display.get_init() and not other.closed
 
 
-@pytest.mark.usefixtures("no_screen")
 def test_person_can_close_the_window():
     viewer = Viewer("human", SIZE, frame_rate=1000.0)
     viewer.draw(snapshot())

@@ -5,7 +5,6 @@ import math
 import os
 import subprocess
 import sys
-from importlib.util import find_spec
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,16 +16,11 @@ from baselines.cli import main
 from baselines.policies.classical import make_classical
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, save_field
-from mbn_marl.sim3d import Mission, PlaneSimulator, Scale, deploy
+from mbn_marl.sim3d import Mission, PlaneSimulator, Scale, deploy, quadrotor
 from mbn_marl.sim3d.film import Film, load_mujoco
-from tests.support.missions import BEND, SMALL
-
-if find_spec("mujoco") is None:
-    pytest.skip("MuJoCo is not installed", allow_module_level=True)
-
-from mbn_marl.sim3d import quadrotor
 from mbn_marl.sim3d.mujoco_simulator import MujocoSimulator
 from mbn_marl.sim3d.scene import SPRAYED, STONE
+from tests.support.missions import BEND, SMALL
 
 pytestmark = pytest.mark.slow
 
