@@ -5,14 +5,12 @@ import sys
 import time
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
+import cbor
 import numpy as np
 import pytest
 import shapely
-
-pytest.importorskip("coppeliasim_zmqremoteapi_client", reason="needs mbn_marl[sim3d]")
-
-import cbor
 
 from baselines.policies.classical import make_classical
 from mbn_marl.errors import ConfigError, SimulatorError
@@ -241,11 +239,8 @@ def test_stop_or_pause_by_hand_is_an_error_in_its_step(server, kind, at):
 
 
 def test_broken_off_call_leaves_nothing_behind(server, monkeypatch):
-    def interrupt(_: object) -> bytes:
-        raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt), begun(server) as simulator, monkeypatch.context() as now:
-        now.setattr(_PatientSocket, "recv", interrupt)
+        now.setattr(_PatientSocket, "recv", Mock(side_effect=KeyboardInterrupt))
         try:
             simulator.step()
         finally:

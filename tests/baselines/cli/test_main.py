@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 from functools import partial
+from unittest.mock import Mock
 
 import pytest
 
@@ -45,10 +46,7 @@ def test_unknown_command_is_answered_with_a_known_one(refusal):
     ],
 )
 def test_command_ends_with_a_code_and_a_line(raised, code, parts, monkeypatch, capsys):
-    def run(command: object, command_line: str) -> None:
-        raise raised
-
-    monkeypatch.setattr(fields.Fields, "run", run)
+    monkeypatch.setattr(fields.Fields, "run", Mock(side_effect=raised))
     assert main(["fields"]) == code
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and all(part in error for part in parts)

@@ -46,12 +46,12 @@ def test_a_file_without_lines_of_yaml_is_refused(tmp_path):
     assert path.read_text() == before
 
 
-def test_a_plan_that_is_not_proved_is_kept_but_not_in_the_field(tmp_path, monkeypatch, capsys):
+def test_a_plan_that_is_not_proved_is_kept_but_not_in_the_field(tmp_path, monkeypatch, refusal):
     path, out = tmp_path / "own.yaml", tmp_path / "out"
     path.write_text(CATALOGUE.read_text())
     monkeypatch.setattr(Plan, "optimal", property(lambda found: False))
-    assert main(["plan", str(path), "--write", "--out", str(out)]) == 2
-    assert f"{path} is left as it is" in capsys.readouterr().err
+    error = refusal(["plan", str(path), "--write", "--out", str(out)])
+    assert f"{path} is left as it is" in error
     assert (out / "plan.json").exists() and path.read_text() == CATALOGUE.read_text()
 
 

@@ -183,12 +183,8 @@ def test_comparisons_and_what_was_moved_aside_are_left_out(tmp_path, capsys):
 
 def test_runs_that_are_not_their_settings_are_left_out(tmp_path, capsys):
     make_run(tmp_path, [(1, 3e6, 0, 3e6, 3e6)])
-    for seed, changes in enumerate(
-        (
-            {"environment": {"tau": 0.5}},
-            {"hyperparameters": {"reward_scale": 0.5}},
-        )
-    ):
+    wrong = {"environment": {"tau": 0.5}}, {"hyperparameters": {"reward_scale": 0.5}}
+    for seed, changes in enumerate(wrong):
         other = make_run(tmp_path, [(1, 9e6, 0, 9e6, 9e6)], seed=seed)
         write_json(other / "config.json", {**RunFolder.open(other).config, **changes})
     assert "| PPO | mean | -0.2128 | 3.0000 |" in report(tmp_path)

@@ -93,7 +93,7 @@ def test_a_policy_finds_out_what_each_of_its_worlds_is_like(name, most, worlds):
     assert [engine.snapshot().success for engine in engines] == [True] * len(worlds)
 
 
-def test_mbn_plan_prints_draws_and_saves(tmp_path, capsys):
+def test_mbn_plan_prints_draws_and_saves(tmp_path, capsys, refusal):
     out = tmp_path / "plan"
     assert main(["plan", "field_03", "-o", str(out)]) == 0
     printed = capsys.readouterr().out
@@ -106,11 +106,10 @@ def test_mbn_plan_prints_draws_and_saves(tmp_path, capsys):
     assert (episode.source, episode.outcome) == ("plan, proved optimal", "success")
     assert (episode.steps, episode.team_return) == (17, 159_490.0)
     before = sorted(tmp_path.iterdir())
-    assert main(["plan", "field_03", "-o", str(out)]) == 2
-    assert str(out) in capsys.readouterr().err
+    assert str(out) in refusal(["plan", "field_03", "-o", str(out)])
     for wrong in (["--n-robots", "9"], ["--time-limit", "-1"], ["--wind", "nan", "0"]):
-        assert main(["plan", "field_03", *wrong, "-o", str(out), "--force"]) == 2
-        assert wrong[0][2:].replace("-", "_") in capsys.readouterr().err
+        error = refusal(["plan", "field_03", *wrong, "-o", str(out), "--force"])
+        assert wrong[0][2:].replace("-", "_") in error
     assert sorted(tmp_path.iterdir()) == before
 
 
@@ -122,8 +121,6 @@ def test_mbn_evaluate_takes_classical_policies(tmp_path, capsys):
     result = json.loads(out.read_text())
     assert (result["stochastic"]["gap"], result["deterministic"]["spl"]) == (0.0, 1.0)
     assert result["deterministic"]["per_episode"]["bounds"] == [17, 17]
-    assert main(["evaluate", "greedy"]) == 2
-    assert "field" in capsys.readouterr().err
 
 
 LEFT, RIGHT = [(100, 250), (100, 100), (200, 100)], [(300, 100), (300, 250)]

@@ -13,6 +13,7 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -82,10 +83,7 @@ def test_a_second_process_is_refused(tmp_path):
 
 @pytest.mark.parametrize("code", ["ENOSYS", "ENOLCK", "EOPNOTSUPP"])
 def test_a_drive_without_locks_is_used(code, tmp_path, monkeypatch):
-    def flock(*_: Any) -> None:
-        raise OSError(getattr(errno, code), code)
-
-    monkeypatch.setattr(fcntl, "flock", flock)
+    monkeypatch.setattr(fcntl, "flock", Mock(side_effect=OSError(getattr(errno, code), code)))
     with pytest.warns(UserWarning, match="lock"), alone(tmp_path, "mbn train"):
         pass
     assert not list(tmp_path.iterdir())

@@ -11,7 +11,6 @@ import psutil
 import pytest
 import yaml
 
-from baselines.cli import main
 from baselines.runs.files import LOCK, read_json
 from baselines.runs.folder import RunFolder
 from baselines.sweep.processes import LocalEngine
@@ -110,7 +109,6 @@ def test_a_grid_survives_the_loss_of_a_node(cluster, tmp_path):
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:9", "nonsense"])
-def test_a_cluster_that_is_not_there_is_named(address, tmp_path, capsys):
-    spec = spec_in(tmp_path)
-    assert main(["grid", str(spec), "--engine", "ray", "--address", address]) == 2
-    assert address in capsys.readouterr().err
+def test_a_cluster_that_is_not_there_is_named(address, tmp_path, refusal):
+    words = ["grid", str(spec_in(tmp_path)), "--engine", "ray", "--address", address]
+    assert address in refusal(words)
