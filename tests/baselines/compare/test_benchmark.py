@@ -169,11 +169,8 @@ def test_each_instance_is_evaluated_with_its_own_seed(source, tmp_path):
 @pytest.mark.parametrize(
     ("policy", "settings", "word"),
     [
-        (Policy(), {}, "all"),
-        (Policy(), {"observation": "entities", "assignment": "fresh"}, "assignment"),
         (Policy(), {"observation": "lidar_local"}, "own sight"),
         (RandomPolicy(), {}, "-"),
-        (Policy(), {"observation": "local", "knowledge": "own"}, "own"),
         (Shielded(Policy()), {"observation": "local", "knowledge": "own"}, "own"),
         (Shielded(Policy()), {"observation": "local"}, "state"),
         (Shielded(RandomPolicy()), {}, "state"),

@@ -27,6 +27,7 @@ from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import FieldSampler, load_fields
 from mbn_marl.field.splits import SEARCH, search_side_by_side
+from tests.support.problems import places_of
 from tests.support.runs import interrupted, recorded, same_policies, small_config
 
 pytestmark = pytest.mark.slow
@@ -44,7 +45,8 @@ def test_algorithms_differ_by_what_actor_and_critic_see_alone():
 
 def test_cap_of_the_standard_deviation_stays_and_then_falls():
     config = load("mappo", "N", {"log_std_cap": [0.5, -1.5], "log_std_cap_from": 0.5})
-    assert [config.cap_at(progress) for progress in (0.0, 0.5, 0.75, 1.0)] == [0.5, 0.5, -0.5, -1.5]
+    caps = [config.cap_at(progress) for progress in (0.0, 0.5, 0.75, 1.0, 1.1)]
+    assert caps == [0.5, 0.5, -0.5, -1.5, -1.5]
 
 
 SMALL = {"num_worlds": 4, "rollout_steps": 32, "hidden": [8]}
@@ -341,9 +343,7 @@ def test_a_run_of_a_tier_has_its_settings_and_its_bounds(tmp_path, monkeypatch):
     for other in ({"tau": 2.0}, {"roi_radius": 20.0}, {"wind": (0.1, 0.0)}, {"empty_rois": ()}):
         assert bound_of(frozen, {**settings, **other}) is None
     own = {"sensing_radius": 50.0, "comm_radius": 70.0, "decoys": 3}
-    with pytest.raises(ConfigError) as caught:
-        prepare(replace(asked, environment=own))
-    named = [problem.partition(":")[0] for problem in caught.value.problems]
+    named = places_of(ConfigError, prepare, replace(asked, environment=own))
     assert named == [f"environment.{name}" for name in ("sensing_radius", "decoys", "comm_radius")]
 
 
@@ -372,9 +372,8 @@ def test_what_does_not_go_together_is_refused(algorithm, field, setting, changes
     config = TrainConfig(
         algorithm, field, setting, hyperparameters=changes, transferred_from=source
     )
-    with pytest.raises(ConfigError) as caught:
-        find_algorithm(config.algorithm).check(*prepare(config))
-    assert [problem.partition(":")[0] for problem in caught.value.problems] == named
+    check = find_algorithm(algorithm).check
+    assert places_of(ConfigError, lambda: check(*prepare(config))) == named
 
 
 @pytest.mark.parametrize("terminated", [True, False])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.training import aids as module
-from baselines.training.aids import RoiCurriculum, TrainingAids, between, with_other_starts
+from baselines.training.aids import RoiCurriculum, TrainingAids, with_other_starts
 from baselines.training.config import Task, TrainConfig
 from mbn_marl import Failures
 from mbn_marl.field import load_field
@@ -16,10 +16,6 @@ FIELD = load_field("field_02")
 
 def task_of(**settings: Any) -> Task:
     return Task(TrainConfig("mappo", "field_02", seed=3), FIELD, settings)
-
-
-def test_numbers_are_interpolated_and_do_not_leave_their_ends():
-    assert [between((3.0, 1.0), share) for share in (-1, 0, 0.25, 1, 2)] == [3, 3, 2.5, 1, 1]
 
 
 @pytest.mark.parametrize(
