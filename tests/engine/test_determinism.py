@@ -148,7 +148,7 @@ def trajectory(case: str, **batch: Any) -> list[NDArray[Any]]:
     """Everything that an engine which moves at random hands out, step by step."""
     engine = BatchEngine(seed=11, **(CASES[case] | LIVELY | batch))
     rows = [engine.reset().copy()]
-    for _ in range(120):
+    for _ in range(80):
         results = engine.step(engine.sample_actions())
         arrays = (*results, engine.team_rewards, engine.state(), engine.infos())
         rows += [array.copy() for array in arrays]
