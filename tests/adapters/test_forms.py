@@ -15,6 +15,7 @@ from mbn_marl import Field
 from mbn_marl.adapters.infos import GAP
 from mbn_marl.config import Failures, Uniform
 from mbn_marl.engine.mdp.observations import LIDARS, WITH_RAYS
+from tests.support.field_cases import HOLE, LETTER_L, SQUARE
 from tests.support.forms import BatchForm, CentralizedForm, Outcome, ParallelForm, TeamSharingForm
 from tests.support.oracle import Oracle
 from tests.support.scores import TERMS, Step
@@ -223,10 +224,7 @@ def test_all_forms_agree_with_the_oracle(name):
         assert min(seen[situation] for situation in expected) >= 3, f"hardly ever: {seen}"
 
 
-SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
 DIAMOND = [(50.0, 0.0), (100.0, 50.0), (50.0, 100.0), (0.0, 50.0)]
-LETTER_L = [(0.0, 0.0), (100.0, 0.0), (100.0, 50.0), (60.0, 50.0), (60.0, 100.0), (0.0, 100.0)]
-HOLE = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
 STILL, RIGHT, LEFT, UP = (0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)
 TIES = {
     "onto the outline, then beyond": (

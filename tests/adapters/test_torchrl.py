@@ -13,6 +13,7 @@ from mbn_marl.adapters.torchrl import GROUP, METRICS, NavigationEnv
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, StepError
 from tests.support import configurations
+from tests.support.problems import places_of
 
 pytestmark = pytest.mark.slow
 WORLDS, STEPS = 6, 60
@@ -183,15 +184,14 @@ def test_torch_compile_leaves_steps_alone():
 
 def test_sizes_and_metrics_are_checked_at_once():
     assert NavigationEnv("field_03", np.int64(2)).batch_size == (2,)
-    with pytest.raises(ConfigError) as caught:
-        NavigationEnv("field_03", 2.5, metrics=["success", "success"])
-    assert [one.partition(":")[0] for one in caught.value.problems] == ["metrics", "num_worlds"]
+    twice = ["success", "success"]
+    places = places_of(ConfigError, NavigationEnv, "field_03", 2.5, metrics=twice)
+    assert places == ["metrics", "num_worlds"]
     for metrics in (None, [1, "success"], [["success"]]):
         with pytest.raises(ConfigError, match="metrics: "):
             NavigationEnv("field_03", 2, metrics=metrics)
-    settings = {"autoreset": True}
     with pytest.raises(ConfigError, match="autoreset: "):
-        NavigationEnv("field_03", 2, **settings)
+        NavigationEnv("field_03", 2, autoreset=True)
     env = NavigationEnv("field_03", 2, device=None)
     assert env.device == torch.device("cpu") and "field_03" in repr(env)
     with pytest.raises(ConfigError, match="seed: "):

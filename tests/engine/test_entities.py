@@ -7,6 +7,7 @@ import pytest
 
 from mbn_marl import BatchEngine, Failures, Field
 from tests.support.configurations import EVERYTHING, SIGHTS, entries
+from tests.support.field_cases import LETTER_L, SQUARE
 from tests.support.worlds import ASSIGNED
 
 pytestmark = pytest.mark.slow
@@ -14,8 +15,6 @@ FAILING = {
     **{**EVERYTHING, **SIGHTS["entities"], "dynamics": "holonomic"},
     "failures": Failures(at={0: 1}),
 }
-SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
-LETTER_L = [(0.0, 0.0), (100.0, 0.0), (100.0, 50.0), (60.0, 50.0), (60.0, 100.0), (0.0, 100.0)]
 ROOT = 2**0.5
 ABC = [(30.0, 50.0), (90.0, 50.0), (50.0, 95.0)]
 

@@ -13,10 +13,10 @@ from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.config import make_config
 from mbn_marl.episode import check_episode, load_episode, play, save_episode
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import FieldSampler
 from mbn_marl.optimum import optimal_makespan
 from mbn_marl.planning.problem import make_problem
 from tests.support.configurations import entries
+from tests.support.problems import places_of
 
 OWN = {"observation": "entities", "knowledge": "own"}
 SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
@@ -127,42 +127,10 @@ def test_the_end_is_that_of_the_real_rois():
     assert (engine.team_rewards == np.where(near, -40.0, 110_000.0 - 40.0)).all()
 
 
-@pytest.mark.parametrize(
-    ("settings", "place"),
-    [
-        ({"knowledge": "own"}, "knowledge"),
-        ({"knowledge": "own", "observation": "state"}, "knowledge"),
-        ({**OWN, "assignment": True}, "knowledge"),
-        *(({name: 1}, name) for name in ("comm_radius", "look_radius", "comm_delay", "decoys")),
-        ({"comm_loss": 0.1}, "comm_loss"),
-        ({**OWN, "comm_radius": math.nan}, "comm_radius"),
-        ({**OWN, "comm_radius": -1.0}, "comm_radius"),
-        ({**OWN, "decoys": (3, 1)}, "decoys"),
-        ({**OWN, "decoys": (1, 2, 3)}, "decoys"),
-        ({**OWN, "decoys": 24}, "decoys"),
-        ({**OWN, "decoys": 6}, "decoys"),
-        ({"empty_rois": (1,)}, "empty_rois"),
-        ({**OWN, "decoys": 1, "empty_rois": (1,)}, "empty_rois"),
-        ({**OWN, "empty_rois": (6,)}, "empty_rois"),
-        ({**OWN, "empty_rois": range(6)}, "empty_rois"),
-        ({**OWN, "empty_rois": (-1,)}, "empty_rois.0"),
-        ({**OWN, "decoys": 3, "field": FieldSampler(rois=(3, 9))}, "decoys"),
-    ],
-    ids=str,
-)
-def test_wrong_settings_are_named(settings, place):
-    with pytest.raises(ConfigError) as caught:
-        BatchEngine(**{"field": "field_03", "num_worlds": 2, **settings})
-    (problem,) = caught.value.problems
-    assert problem.startswith(f"{place}: ")
-
-
 @pytest.mark.parametrize("make", [centralized_env, CentralizedVecEnv, CentralizedVectorEnv])
 def test_central_forms_refuse_own_knowledge(make):
     source = {"num_envs": 2} if make is CentralizedVectorEnv else {}
-    with pytest.raises(ConfigError) as caught:
-        make(field="field_03", **source, **OWN)
-    assert caught.value.problems[0].startswith("knowledge: ")
+    assert places_of(ConfigError, make, field="field_03", **source, **OWN)[0] == "knowledge"
 
 
 def test_bounds_are_those_of_a_team_that_knows_all():

@@ -21,10 +21,7 @@ BATCHES = {
             **{"wind": (0.05, 40.0), "random_starts": True, "roi_radius": 40.0, "max_steps": 90},
         },
     ),
-    "random fields in a storm, float32": (
-        SAMPLER,
-        {**STORM, "dynamics": ALL_DYNAMICS},
-    ),
+    "random fields in a storm, float32": (SAMPLER, {**STORM, "dynamics": ALL_DYNAMICS}),
 }
 EXPECTED = {
     "catalogue, float64": (

@@ -9,10 +9,8 @@ import pytest
 from mbn_marl import BatchEngine, Failures, Field
 from mbn_marl.config import WITHOUT_RADIUS
 from tests.support.configurations import EVERYTHING, SIGHTS, entries
+from tests.support.field_cases import HOLE, LETTER_L, SQUARE
 
-SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
-HOLE = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
-LETTER_L = [(0.0, 0.0), (100.0, 0.0), (100.0, 50.0), (60.0, 50.0), (60.0, 100.0), (0.0, 100.0)]
 ROOT = 2**0.5
 pytestmark = pytest.mark.slow
 PRECISIONS = pytest.mark.parametrize("dtype", ["float32", "float64"])

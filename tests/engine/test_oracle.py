@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.golden import FIELDS, load_episodes
+from tests.support.field_cases import HOLE, SQUARE
 from tests.support.oracle import Oracle
 
-SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
 STILL = (0.0, 0.0)
 
 
@@ -36,9 +36,6 @@ def test_golden_episodes():
         assert oracle.episode_return == episode.episode_return, episode.id
     assert len(episodes) == 107
     assert sum(len(episode.rewards) for episode in episodes) == 16_886
-
-
-HOLE = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
 
 
 @pytest.mark.parametrize(("start", "holes"), [(99.5, ()), (39.5, (HOLE,))])

@@ -13,7 +13,8 @@ import shapely
 from mbn_marl import parallel_env
 from mbn_marl.errors import ConfigError, FieldError
 from mbn_marl.field import Field
-from tests.support.field_cases import HOLE, SQUARE, circle, places_of, square
+from tests.support.field_cases import HOLE, SQUARE, circle, square
+from tests.support.problems import places_of
 
 
 def test_arrays_edges_and_defaults():
@@ -77,9 +78,7 @@ INVALID = {
     ("holes[0]", "holes[0][0]-holes[0][1] meets holes[0][2]-holes[0][3]"): [
         [[HOLE[0], HOLE[2], HOLE[1], HOLE[3]]],
     ],
-    ("holes[0]", ""): [
-        *([HOLE[:2]], [SQUARE[:3]], [[(70, 70), (110, 70), (70, 90)]]),
-    ],
+    ("holes[0]", ""): [[HOLE[:2]], [SQUARE[:3]], [[(70, 70), (110, 70), (70, 90)]]],
     ("holes[1]", "holes[0]"): [
         [HOLE, [(45, 45), (55, 45), (50, 55)]],  # inside the other
     ],
@@ -108,18 +107,15 @@ def test_problems_name_the_place(place, other):
 
 def test_problems_of_several_arguments():
     few = {"starts": [(30, 30)], "rois": [(20, 50)]}
-    assert places_of(lambda: square(vertices=circle(497), **few)) == ["holes"]
+    assert places_of(FieldError, square, vertices=circle(497), **few) == ["holes"]
     assert len(square(vertices=circle(496), **few).edges) == 500
     places = places_of(
-        lambda: square(
-            vertices=[*SQUARE, (0.0, 0.0)],
-            rois=[(90, 90), (150, 50), (50, 50), (math.nan, 1)],
-            starts=[(10, 10), (12, 10), (2000, 10)],
-            holes=[HOLE, [(55, 55), (80, 55), (80, 80)], [(1, 1), (2, 2)]],
-            arena=(1000, -1),
-            name="no/slash",
-            optimal_makespan=-1,
-        )
+        *(FieldError, square),
+        vertices=[*SQUARE, (0.0, 0.0)],
+        rois=[(90, 90), (150, 50), (50, 50), (math.nan, 1)],
+        starts=[(10, 10), (12, 10), (2000, 10)],
+        holes=[HOLE, [(55, 55), (80, 55), (80, 80)], [(1, 1), (2, 2)]],
+        **{"arena": (1000, -1), "name": "no/slash", "optimal_makespan": -1},
     )
     assert sorted(places) == [
         *("arena.y", "holes[1]", "holes[2]", "name", "optimal_makespan", "rois[1]", "rois[2]"),

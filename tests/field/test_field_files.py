@@ -5,6 +5,7 @@ import math
 import time
 from importlib.resources import files
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import yaml
@@ -25,7 +26,8 @@ from mbn_marl.field import (
 )
 from mbn_marl.field.files import MAX_BYTES, MAX_DEPTH
 from tests.golden import FIELDS
-from tests.support.field_cases import VALID_FILE, circle, places_of, square, write
+from tests.support.field_cases import VALID_FILE, circle, square, write
+from tests.support.problems import places_of
 
 # "Returns 160000 - 30 T*" of the ten fields, proved; the field with index k is field_{k+1:02d}.
 OPTIMAL_MAKESPANS = [40, 40, 17, 29, 31, 39, 25, 35, 83, 71]
@@ -33,7 +35,7 @@ OPTIMAL_MAKESPANS = [40, 40, 17, 29, 31, 39, 25, 35, 83, 71]
 
 def places_in(folder: Path, text: str, name: str = "user.yaml") -> list[str]:
     """The places of the problems of a file that holds ``text``."""
-    return places_of(lambda: load_field(write(folder, text, name)))
+    return places_of(FieldError, load_field, write(folder, text, name))
 
 
 def test_catalogue_is_the_files_on_disk():
@@ -72,7 +74,7 @@ def test_samplers_are_files_too(tmp_path):
         with pytest.raises(FieldError):
             load_field(source)
     wrong = write(tmp_path, "format: mbn-sampler/1\nrobots: 0\nsides: 3\n")
-    assert sorted(places_of(lambda: load_fields(wrong))) == ["robots", "sides"]
+    assert sorted(places_of(FieldError, load_fields, wrong)) == ["robots", "sides"]
 
 
 VALUES = st.recursive(
@@ -128,11 +130,7 @@ class TestFiles:
     def test_a_failed_save_leaves_the_old_file(self, tmp_path, monkeypatch):
         path = tmp_path / "field.yaml"
         save_field(square(name="newer"), path)
-
-        def disk_full(descriptor: int) -> None:
-            raise OSError(28, "No space left on device")
-
-        monkeypatch.setattr("os.fsync", disk_full)
+        monkeypatch.setattr("os.fsync", Mock(side_effect=OSError(28, "No space left on device")))
         with pytest.raises(OSError, match="28"):
             save_field(square(name="newest"), path)
         assert load_field(path) == square(name="newer")

@@ -10,7 +10,8 @@ import pytest
 from baselines.cli.main import main
 from mbn_marl.errors import ConfigError, FieldError
 from mbn_marl.field import Field, load_field, load_map
-from tests.support.field_cases import places_of, write
+from tests.support.field_cases import write
+from tests.support.problems import places_of
 
 FARM = [[0, 0], [400, 0], [400, 300], [0, 300]]
 POND = [[180, 140], [180, 180], [220, 180], [220, 140]]
@@ -116,7 +117,7 @@ def test_polygons_are_picked_and_holes_are_cut_out(tmp_path):
     lake = polygon(ring(POND, 200, 0), kind="Hole")
     farms = [polygon(ring(FARM), Name="A"), polygon(ring(FARM, 450), name="B"), pond, lake, *POINTS]
     for pick in ("", "#C"):
-        assert places_of(lambda pick=pick: read(tmp_path, *farms, pick=pick)) == ["file"]
+        assert places_of(FieldError, read, tmp_path, *farms, pick=pick) == ["file"]
     for pick in ("#A", "#1"):
         field, _ = read(tmp_path, *farms, pick=pick)
         assert (field.name, len(field.holes), len(field.rois), len(field.starts)) == ("A", 1, 2, 1)
@@ -137,17 +138,16 @@ def test_polygons_are_picked_and_holes_are_cut_out(tmp_path):
     ],
 )
 def test_bad_maps(tmp_path, features, place):
-    assert places_of(lambda: read(tmp_path, *features)) == [place]
+    assert places_of(FieldError, read, tmp_path, *features) == [place]
 
 
 def test_every_problem_is_listed(tmp_path):
     line, wrong = {"type": "LineString", "coordinates": [[0, 0], [1, 1]]}, {"type": "Nope"}
-    found = places_of(lambda: read(tmp_path, polygon(ring(FARM)), line, wrong))
+    found = places_of(FieldError, read, tmp_path, polygon(ring(FARM)), line, wrong)
     assert found == ["features[1]", "features[2]"]
     for metres in (-1, "1"):
-        with pytest.raises(ConfigError) as caught:
-            load_map(tmp_path / "my farm.geojson", robots=0, metres_per_unit=metres)
-        assert [one.split(":")[0] for one in caught.value.problems] == ["robots", "metres_per_unit"]
+        wrong = {"robots": 0, "metres_per_unit": metres}
+        assert places_of(ConfigError, load_map, tmp_path / "my farm.geojson", **wrong) == [*wrong]
 
 
 def test_other_files_are_refused(tmp_path):
@@ -162,7 +162,7 @@ def test_placed_points_have_room_and_a_seed(tmp_path):
     gaps = np.linalg.norm(one.starts[:, None] - one.starts, axis=2) + 1e9 * np.eye(64)
     assert one == other and gaps.min() >= 12
     thin = polygon(ring([[0, 0], [400, 0], [400, 9]]))
-    assert places_of(lambda: read(tmp_path, thin, rois=24, robots=64)) == ["outline"]
+    assert places_of(FieldError, read, tmp_path, thin, rois=24, robots=64) == ["outline"]
 
 
 def test_command(tmp_path, capsys):

@@ -28,8 +28,8 @@ from mbn_marl.field.splits import (
     make_sampler,
     search_side_by_side,
 )
-from tests.support.field_cases import places_of
 from tests.support.frozen import write_split, write_splits
+from tests.support.problems import places_of
 
 INSTALLED = Path(str(FOLDER))
 FILES = [(split, tier) for split in get_args(Split) for tier in NAMES]
@@ -99,10 +99,10 @@ def test_a_field_that_is_another_is_an_error_that_names_it(tmp_path):
     first, second, _ = record["instances"]
     first["geometry"], second["geometry"] = second["geometry"], first["geometry"]
     path.write_text(json.dumps(record))
-    places = places_of(lambda: load_split("test", "1-convex", tmp_path))
+    places = places_of(FieldError, load_split, "test", "1-convex", tmp_path)
     assert places == ["instances.0.geometry", "instances.1.geometry"]
     path.write_text(json.dumps(record | {"instances": [record["instances"][2]] * 2}))
-    places = places_of(lambda: load_split("test", "1-convex", tmp_path))
+    places = places_of(FieldError, load_split, "test", "1-convex", tmp_path)
     assert places == ["instances.1.candidate"]
 
 
@@ -122,7 +122,7 @@ def test_an_instance_that_cannot_be_is_named(tmp_path):
         record = json.loads(good)
         record["instances"][1] |= changed
         path.write_text(json.dumps(record))
-        places = places_of(lambda tier=tier: load_split("test", tier, tmp_path))
+        places = places_of(FieldError, load_split, "test", tier, tmp_path)
         path.write_text(good)
         assert places == [f"instances.1.{place}"], changed
 
@@ -145,7 +145,7 @@ def test_what_there_is_not_is_an_error(tmp_path):
     with pytest.raises(FieldError):
         load_split("test", "1-convex", tmp_path)
     write_split(tmp_path, "1-convex", version=2)
-    assert places_of(lambda: load_split("test", "1-convex", tmp_path)) == ["version"]
+    assert places_of(FieldError, load_split, "test", "1-convex", tmp_path) == ["version"]
 
 
 @pytest.mark.slow

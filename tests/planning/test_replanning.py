@@ -58,10 +58,7 @@ def test_weather_by_hand():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["brake", "coast"])
 def test_the_ways_of_failed_robots_are_foreseen(kind):
-    settings = {
-        "failures": Failures(at={0: 9, 1: 7}, kind=kind),
-        "wind": (0.1, 200.0),
-    }
+    settings = {"failures": Failures(at={0: 9, 1: 7}, kind=kind), "wind": (0.1, 200.0)}
     engine = BatchEngine("field_03", 1, autoreset="disabled", threads=1, **settings)
     engine.reset()
     for step in range(9):

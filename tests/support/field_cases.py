@@ -1,17 +1,14 @@
 """Valid fields and files that the tests of fields start from."""
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-from mbn_marl.errors import FieldError
 from mbn_marl.field import FORMAT, Field
 
 SQUARE = [(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)]
 HOLE = [(40.0, 40.0), (60.0, 40.0), (60.0, 60.0), (40.0, 60.0)]
+LETTER_L = [(0.0, 0.0), (100.0, 0.0), (100.0, 50.0), (60.0, 50.0), (60.0, 100.0), (0.0, 100.0)]
 
 VALID_FILE = f"""\
 format: {FORMAT}
@@ -40,9 +37,3 @@ def write(folder: Path, text: str, name: str = "user.yaml") -> Path:
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
-
-
-def places_of(make: Callable[[], object]) -> list[str]:
-    with pytest.raises(FieldError) as caught:
-        make()
-    return [problem.split(": ")[0] for problem in caught.value.problems]

@@ -13,11 +13,7 @@ from mbn_marl.field import Field, load_fields
 
 BOUND = 20  # steps
 
-TINY: Mapping[str, Any] = {
-    "num_worlds": 4,
-    "rollout_steps": 16,
-    "hidden": [8],
-}
+TINY: Mapping[str, Any] = {"num_worlds": 4, "rollout_steps": 16, "hidden": [8]}
 CONFIG = CompareConfig(
     variants=tuple(
         Variant(algorithm=name, label=f"{name}-tiny", hyperparameters=dict(TINY))

@@ -18,6 +18,7 @@ from baselines.runs.files import RunError
 from mbn_marl import BatchEngine, Field, Uniform, load_field, parallel_env
 from mbn_marl.config import CONDITIONS, make_config
 from mbn_marl.errors import ConfigError, MbnError
+from tests.support.problems import places_of
 
 LIDAR = {"observation": "lidar"}
 Write = Callable[[str], str]
@@ -228,13 +229,9 @@ class Trained(Policy):
 
 
 def refused(policy: Policy, field: Field, settings: dict[str, Any]) -> list[str]:
-    named = []
-    for run in (evaluate, record_episode):
-        with pytest.raises(ConfigError) as caught:
-            run(policy, field, settings)
-        named.append([problem.partition(":")[0] for problem in caught.value.problems])
-    assert named[0] == named[1]
-    return named[0]
+    named = places_of(ConfigError, evaluate, policy, field, settings)
+    assert named == places_of(ConfigError, record_episode, policy, field, settings)
+    return named
 
 
 def test_all_that_differs_is_named_at_once():
