@@ -3,7 +3,6 @@
 import copy
 import json
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -78,7 +77,6 @@ BAD_MASKS = [
     ([[True], [True, False]], []),
 ]
 BAD_SEEDS = [-1, 2**63, 1.5, "seven", float("nan"), True]
-Call = tuple[Callable[[BatchEngine], object], type[Exception], list[str]]
 BAD_CALLS = [
     *((lambda e, a=a: e.step(a), ActionError, ["actions", *w]) for a, w in BAD_ACTIONS),
     *((lambda e, m=m: e.reset_worlds(m), ActionError, ["mask", *w]) for m, w in BAD_MASKS),

@@ -100,12 +100,12 @@ def test_decoys_are_drawn_alike_and_told_to_nobody():
     assert (shot.empty == engine.decoys[5]).all() and not shot.visited.any()
 
 
-@pytest.mark.slow
 def test_no_decoys_as_a_range_are_none():
     assert make_config({"decoys": (0, 0)}) == make_config({})
     assert make_config({"decoys": (0, 0), "empty_rois": (1,), **OWN}).empty_rois == (1,)
 
 
+@pytest.mark.slow
 def test_given_rois_are_empty_in_all_episodes():
     engine = BatchEngine("field_03", 3, empty_rois=(4, 1, 4), **OWN)
     for _ in range(2):

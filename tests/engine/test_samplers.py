@@ -43,7 +43,7 @@ def assert_same_observations(ours: BatchEngine, theirs: BatchEngine, world: int,
 )
 def test_world_equals_an_engine_with_its_field_alone(settings):
     settings["max_steps"] = 25
-    ours = BatchEngine(ALL, WORLDS, seed=3, first_world=FIRST, threads=2, **settings)
+    ours = BatchEngine(ALL, WORLDS, seed=3, first_world=FIRST, **settings)
 
     def begin(world: int, episode: int) -> BatchEngine:
         """The episode of a world, by an engine of one world and one fixed field."""

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from mbn_marl.errors import ConfigError, MbnError
 from tests.support.problems import places_of
 
 LIDAR = {"observation": "lidar"}
-Write = Callable[[str], str]
 pytestmark = pytest.mark.slow
 
 WITHOUT = """
