@@ -61,7 +61,7 @@ def fill(page: Path) -> str:
 
 
 def weather(folder: Path) -> TextTable:
-    """Return makespan and success of each policy under each condition, by mean actions."""
+    """Return makespan and success under each condition, by mean actions, most success first."""
     lines = []
     for path in folder.glob("*.json"):
         instances = read_json(path)["tiers"][splits.WEATHER]["instances"]
@@ -72,9 +72,10 @@ def weather(folder: Path) -> TextTable:
             words = [f"{cell.makespan:.1f} ({cell.success_rate:.0%})" for cell in cells]
             words = [word.replace("nan", "-") for word in words]  # no success
             sees = instances[0]["information"]
-            lines.append((rows.makespan.mean(), path.stem, sees, *words))
+            order = -rows.success_rate.mean(), np.nan_to_num(rows.makespan.mean(), nan=np.inf)
+            lines.append((*order, path.stem, sees, *words))
     headings = ("policy", "information", *splits.CONDITIONS)
-    return TextTable("", headings, [line[1:] for line in sorted(lines)], words=2)
+    return TextTable("", headings, [line[2:] for line in sorted(lines)], words=2)
 
 
 def searched(folder: Path) -> TextTable:

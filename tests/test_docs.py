@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 import mbn_marl
+from baselines.algorithms import find_algorithm
 from baselines.cli.main import COMMANDS, main
 from docs.extensions import notebooks
 from mbn_marl import parallel_env
@@ -121,6 +122,14 @@ def test_linked_files_exist():
     for page in PAGES:
         for target in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
             assert target.startswith("http") or (page.parent / target).is_file(), (page, target)
+
+
+def test_the_table_of_algorithms_says_what_each_robot_observes():
+    page = (ROOT / "docs" / "baselines.md").read_text(encoding="utf-8")
+    rows = re.findall(r"(?m)^\| `([\w-]+)` \|.*\| own `(\w+)`", page)
+    assert [name for name, _ in rows] == ["mappo", "ppo-shared"]
+    for name, observed in rows:
+        assert find_algorithm(name).resolve({}).environment["observation"] == observed
 
 
 def test_the_code_of_the_equations_exists():

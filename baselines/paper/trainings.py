@@ -146,8 +146,8 @@ def _changed(record: RunRecord) -> list[str]:
     plain = algorithm.resolve({}, setting=config["setting"], num_envs=config.get("num_envs"))
     numbers = plain.model_dump(mode="json", exclude={"source", "skipped"})
     theirs = config.get("hyperparameters") or {}
-    if config.get("hyperparams") is not None:  # those of a file, which need not be there any more
-        theirs = {}
+    if config.get("hyperparams") is not None and config["setting"] == "B":
+        theirs = {}  # tuned ones, of a file that need not be there any more
     different = {
         "hyperparameters": any(theirs.get(name, one) != one for name, one in numbers.items()),
         "environment": make_config(config.get("environment") or plain.environment)

@@ -24,7 +24,7 @@ from baselines.sb3.config import accepted_arguments
 from baselines.sweep.processes import Failure
 from baselines.sweep.run import Engine
 from baselines.training.config import MOST_SEED, DivergenceError, TrainConfig
-from baselines.training.run_logger import Report
+from baselines.training.run_logger import FINAL_TIMES, Report
 from baselines.training.train import found_anywhere, train
 from mbn_marl.errors import ConfigError, MbnError
 
@@ -194,7 +194,7 @@ def _write_results(study: Study, config: TrainConfig, folder: Path) -> Path:
     source = (
         f"mbn tune {config.algorithm}: trial {best.number}, the best of {len(ended(study))}, on "
         f"{config.field} with {config.steps:,} env-steps a trial; mean return of "
-        f"{config.episodes} fresh episodes {best.value:,.0f}"
+        f"{FINAL_TIMES * config.episodes:,} fresh episodes {best.value:,.0f}"
     )
     values = hyperparameters.model_dump(mode="json", exclude={"skipped"})
     block = {"B": {**values, "source": source}}

@@ -1,4 +1,4 @@
-"""Parts that the adapters share: one world that waits for its reset, frames, action repeat."""
+"""Parts that the adapters share: one world that waits for its reset, and frames."""
 
 from __future__ import annotations
 

@@ -85,6 +85,17 @@ def test_passages_are_compared_with_bound_and_best_plan(tmp_path, monkeypatch):
     assert line == ("slow", "own", "50%", "3.00", "2.00")
 
 
+def test_weather_is_ordered_by_success_then_makespan(tmp_path):
+    for name, makespan, success in (("a", None, 0.0), ("b", 9.0, 0.1), ("c", 40.0, 1.0)):
+        mean = {"makespan": makespan, "success_rate": success}
+        rows = [{"condition": one, "information": "all", "mean": mean} for one in splits.CONDITIONS]
+        result = {"tiers": {splits.WEATHER: {"instances": rows}}}
+        (tmp_path / f"{name}.json").write_text(json.dumps(result))
+    lines = tables.weather(tmp_path).lines
+    assert [line[0] for line in lines] == ["c", "b", "a"]
+    assert [line[2] for line in lines] == ["40.0 (100%)", "9.0 (10%)", "- (0%)"]
+
+
 def test_where_no_bound_is_known_makespans_are_shown(tmp_path):
     heading = HEADING.replace("deterministic_gap", "deterministic_makespan,deterministic_gap")
     (tmp_path / "runs.csv").write_text(f"{heading}fast,a,0,True,20,,\nfast,a,1,True,40,0.5,0.7\n")

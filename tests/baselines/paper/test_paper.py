@@ -183,17 +183,20 @@ def test_comparisons_and_what_was_moved_aside_are_left_out(tmp_path, capsys):
 
 def test_runs_that_are_not_their_settings_are_left_out(tmp_path, capsys):
     make_run(tmp_path, [(1, 3e6, 0, 3e6, 3e6)])
-    wrong = {"environment": {"tau": 0.5}}, {"hyperparameters": {"reward_scale": 0.5}}
+    wrong = [{"environment": {"tau": 0.5}}, {"hyperparameters": {"reward_scale": 0.5}}]
+    wrong += [{**wrong[1], "hyperparams": "own.yaml"}]
     for seed, changes in enumerate(wrong):
         other = make_run(tmp_path, [(1, 9e6, 0, 9e6, 9e6)], seed=seed)
         write_json(other / "config.json", {**RunFolder.open(other).config, **changes})
     assert "| PPO | mean | -0.2128 | 3.0000 |" in report(tmp_path)
-    lines = capsys.readouterr().out.splitlines()[:2]
-    ends = ("environment", "hyperparameters")
+    lines = capsys.readouterr().out.splitlines()[:3]
+    ends = ("environment", "hyperparameters", "hyperparameters")
     assert all(line.startswith("left out: ") for line in lines)
     assert sorted(line.split("setting's ")[1] for line in lines) == sorted(ends)
     with pytest.raises(RunError, match="no run of a setting as it is"):
         find_trainings([other])
+    write_json(other / "config.json", {**RunFolder.open(other).config, "setting": "B"})
+    assert find_trainings([other]).runs.setting.tolist() == ["B"], "tuned values are of a file"
 
 
 def test_of_two_runs_of_a_cell_the_finished_one_is_taken(tmp_path):

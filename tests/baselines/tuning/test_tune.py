@@ -66,13 +66,15 @@ def test_tune_writes_what_setting_b_reads(study, tmp_path, refusal):
     (row,) = table(study)
     assert (row["number"], row["state"]) == ("0", "COMPLETE")
     values = {name: float(row[f"params_{name}"]) for name in search_space("a2c")}
-    assert yaml.safe_load((study / "a2c.yaml").read_text())["B"]["model"] == values
+    block = yaml.safe_load((study / "a2c.yaml").read_text())["B"]
+    assert block["model"] == values
     run = study / "trials" / "trial-0000"
     config = json.loads((run / "config.json").read_text())
     assert config["hyperparameters"]["model"] == values
     assert (run / "command.txt").read_text().startswith("mbn tune a2c --field field_03")
     final = json.loads((run / "evaluation.json").read_text())
     assert float(row["value"]) == final["stochastic"]["return_mean"]
+    assert f"return of {final['stochastic']['episodes']} fresh episodes" in block["source"]
     read = find_algorithm("a2c").resolve({}, setting="B", file=study / "a2c.yaml")
     assert read.model == values
     # A report copies the figure, and does not take the trials for runs of a setting.
