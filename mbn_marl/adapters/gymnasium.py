@@ -21,11 +21,12 @@ from mbn_marl.adapters.one_world import (
     check_central,
     check_names,
     fresh_seed,
+    real_numbers,
     rename_max_steps,
 )
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import BatchEngine, FieldLike, Fields
-from mbn_marl.engine.validation import REAL, as_array, option_problems, reset_problems
+from mbn_marl.engine.validation import option_problems, reset_problems
 from mbn_marl.errors import ActionError, ConfigError
 from mbn_marl.field import FieldSampler
 from mbn_marl.render.viewer import RENDER_SIZE
@@ -137,8 +138,11 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
             ActionError: wrong shape or not finite; nothing has moved.
             StepError: before the first reset, or after the end of an episode.
         """
-        actions = _as_actions(action, self._action_shape).reshape(-1, 2)
-        _, _, terminated, truncated = self._move(actions)
+        numbers = real_numbers(action, self._action_shape)
+        if numbers is None:
+            allowed = f"allowed: numbers of shape {self._action_shape}"
+            raise ActionError(f"action: {action!r:.80}; {allowed}")
+        _, _, terminated, truncated = self._move(numbers.reshape(-1, 2))
         info = self._infos.of_team(terminated or truncated)
         return self.state(), float(self.engine.team_rewards[0]), terminated, truncated, info
 
@@ -300,18 +304,6 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
     def _by_key(self, rows: NDArray[np.float64], mask: NDArray[np.bool_]) -> dict[str, Any]:
         infos = dict(zip(self._infos.keys, rows.T.copy(), strict=True))
         return {**infos, **{f"_{key}": mask for key in infos}}
-
-
-def _as_actions(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.floating[Any]]:
-    try:
-        array = as_array(actions)
-    except (TypeError, ValueError):
-        array = np.empty(0, object)
-    if array.dtype.kind not in REAL:
-        raise ActionError(f"action: {actions!r:.80}; allowed: numbers of shape {shape}")
-    if array.shape != shape:
-        raise ActionError(f"action: shape {array.shape}; allowed: {shape}")
-    return array if array.dtype.kind == "f" else array.astype(np.float64)
 
 
 centralized_env = CentralizedEnv

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mbn_marl.adapters.infos import Infos
 from mbn_marl.config import FixedSettings, NavigationConfig, Settings, make_config
 from mbn_marl.engine import BatchEngine, FieldLike
-from mbn_marl.engine.validation import option_problems, reset_problems
+from mbn_marl.engine.validation import REAL, as_array, option_problems, reset_problems
 from mbn_marl.errors import ConfigError, StepError
 from mbn_marl.field import FieldSampler, load_field
 from mbn_marl.render.viewer import RENDER_SIZE, Viewer, size_problems
@@ -146,6 +146,17 @@ class OneWorld:
 def fresh_seed() -> int:
     """Return a seed from the system's entropy, as a first reset without one has in Gymnasium."""
     return int(np.random.SeedSequence().generate_state(1, np.uint64)[0] >> 1)
+
+
+def real_numbers(value: object, shape: tuple[int, ...]) -> NDArray[np.floating[Any]] | None:
+    """Return a new array of real numbers of this shape, ``None`` for any other ``value``."""
+    try:
+        array = as_array(value)
+    except (TypeError, ValueError):
+        return None
+    if array.shape != shape or array.dtype.kind not in REAL:
+        return None
+    return array.astype(array.dtype if array.dtype.kind == "f" else np.float64)
 
 
 def check_names(settings: Mapping[str, Any]) -> None:

@@ -13,10 +13,10 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
-from mbn_marl.adapters.one_world import OneWorld, rename_max_steps
+from mbn_marl.adapters.one_world import OneWorld, real_numbers, rename_max_steps
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import FieldLike
-from mbn_marl.engine.validation import REAL, as_array
+from mbn_marl.engine.validation import REAL
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError, unknown
 from mbn_marl.field import FieldSampler
 from mbn_marl.render.viewer import RENDER_SIZE
@@ -187,7 +187,7 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         if not alike or len(actions) != len(agents):
             if problem := self._problem(actions):
                 raise ActionError(problem)
-            given = np.array([_two_numbers(actions[agent]) for agent in agents])
+            given = np.array([real_numbers(actions[agent], (2,)) for agent in agents])
         if len(agents) == len(self.possible_agents):
             return given
         stacked = np.zeros((len(self.possible_agents), 2), given.dtype)
@@ -202,19 +202,10 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         for agent in known:
             if agent not in actions:
                 problems.append(f"{agent}: missing")
-            elif _two_numbers(actions[agent]) is None:
+            elif real_numbers(actions[agent], (2,)) is None:
                 problems.append(f"{agent}: {actions[agent]!r:.80}, not two numbers")
         allowed = f"two numbers for each of {', '.join(known)}"
         return f"actions: {'; '.join(problems)}; allowed: {allowed}" if problems else ""
-
-
-def _two_numbers(action: object) -> NDArray[np.float64] | None:
-    try:
-        array = as_array(action)
-    except (TypeError, ValueError):
-        return None
-    known = array.shape == (2,) and array.dtype.kind in REAL
-    return array.astype(np.float64) if known else None
 
 
 class NavigationAECEnv(parallel_to_aec_wrapper[str, Observation, Action]):
@@ -233,7 +224,7 @@ class NavigationAECEnv(parallel_to_aec_wrapper[str, Observation, Action]):
         """
         if not getattr(self, "agents", None):
             raise StepError("step() before reset() or after the end: call reset() first")
-        agent, numbers = self.agent_selection, _two_numbers(action)
+        agent, numbers = self.agent_selection, real_numbers(action, (2,))
         if self.terminations[agent] or self.truncations[agent]:
             if action is not None:
                 raise ActionError(f"{agent}: the episode has ended; allowed: None")

@@ -211,20 +211,10 @@ class NavigationEnv(EnvBase):
         # The result is that of TorchRL's own, which would merge every entry row by row; the engine
         # already has the current rows of all worlds side by side.
         if self.any_done(tensordict):
-            ended = tensordict.pop("_reset")
-            observations = self.engine.reset_worlds(self._give(ended.reshape(-1)))
-            tensordict[GROUP, "observation"] = self._tensor(observations)
-            if self.engine.may_rest:
-                tensordict[GROUP, "mask"] = self._fresh(self.engine.working)
-            if self._state:
-                tensordict["state"] = self._fresh(self.engine.state())
-            for name, flag in zip(FLAGS, ended.new_zeros(len(FLAGS), *ended.shape), strict=True):
-                tensordict.set(name, flag)
-            for name, numbers in self.engine.drawn().items() if self._drawn else ():
-                tensordict["metrics", f"drawn/{name}"] = self._fresh(numbers).float()[:, None]
-            past = [("metrics", name) for name in self._measures]
-            for key in (*past, *(("team_reward",) if self._team_reward else ())):
-                tensordict.set(key, tensordict.get(key).masked_fill(ended, 0))
+            ended = tensordict.pop("_reset").reshape(-1)
+            observations = self.engine.reset_worlds(self._give(ended))
+            none = torch.zeros_like(ended)
+            tensordict.update(self._entries(observations, none, none))
         return tensordict
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:

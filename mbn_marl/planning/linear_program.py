@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import highspy
 import numpy as np
@@ -17,8 +18,6 @@ from mbn_marl.planning.problem import Floats
 
 CERTAIN = 1e-6
 """Multipliers of size 1 that prove more than this leave no doubt by rounding."""
-
-Ints = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -36,31 +35,22 @@ class LinearProgram:
     def __init__(
         self, highs: highspy.Highs, bounds: tuple[Floats, Floats], rows: list[Cut]
     ) -> None:
-        self.highs, self.rows = highs, rows
-        self.low, self.high = bounds
+        self.highs, (self.low, self.high) = highs, bounds
         self.cost = np.zeros(len(self.low))
         self.cost[-1] = 1.0
-        self.columns, self.values, self.sizes, self.limits = _arrays(rows)
-        program = highspy.HighsLp()
-        program.num_col_, program.num_row_ = len(self.low), len(rows)
-        program.col_cost_, program.col_lower_, program.col_upper_ = self.cost, self.low, self.high
-        program.row_lower_ = np.full(len(rows), -highspy.kHighsInf)
-        program.row_upper_ = self.limits
-        program.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
-        starts = np.cumsum([0, *self.sizes], dtype=np.int32)
-        program.a_matrix_.start_, program.a_matrix_.index_ = starts, self.columns
-        program.a_matrix_.value_ = self.values
-        highs.passModel(program)
+        highs.clearModel()
+        highs.addVars(len(self.low), self.low, self.high)
+        highs.changeColCost(len(self.low) - 1, 1.0)
+        self.rows: list[Cut] = []
+        self.arrays = _arrays([])
+        self.add(rows)
 
     def add(self, rows: list[Cut]) -> None:
-        columns, values, sizes, limits = _arrays(rows)
+        columns, values, sizes, limits = fresh = _arrays(rows)
         low, starts = np.full(len(rows), -highspy.kHighsInf), np.cumsum(sizes, dtype=np.int32)
         self.highs.addRows(len(rows), low, limits, len(values), starts - sizes, columns, values)
-        self.rows = self.rows + rows
-        self.columns = np.concatenate([self.columns, columns])
-        self.values = np.concatenate([self.values, values])
-        self.sizes = np.concatenate([self.sizes, sizes])
-        self.limits = np.concatenate([self.limits, limits])
+        self.rows += rows
+        self.arrays = [np.concatenate(pair) for pair in zip(self.arrays, fresh, strict=True)]
 
     def run(self) -> tuple[Floats, float]:
         """Return the solution and a valid lower bound of the optimum, even if the solver failed.
@@ -81,20 +71,20 @@ class LinearProgram:
         return np.array(solution.col_value), bound
 
     def _least(self, cost: Floats, y: Floats) -> float:
-        weights = self.values * np.repeat(y, self.sizes)
-        rest = cost - np.bincount(self.columns, weights, len(cost))
-        return float(self.limits @ y + np.minimum(rest * self.low, rest * self.high).sum())
+        columns, values, sizes, limits = self.arrays
+        rest = cost - np.bincount(columns, values * np.repeat(y, sizes), len(cost))
+        return float(limits @ y + np.minimum(rest * self.low, rest * self.high).sum())
 
     def binding(self, first: int) -> list[Cut]:
         return [self.rows[k] for k in np.flatnonzero(self.y[first:]) + first]
 
 
-def _arrays(rows: list[Cut]) -> tuple[Ints, Floats, Ints, Floats]:
+def _arrays(rows: list[Cut]) -> list[NDArray[Any]]:
     """Return the rows' columns, values, how many each has, and limits."""
     columns = np.array([column for cut in rows for column in cut.columns], np.int32)
     values = np.array([value for cut in rows for value in cut.values], float)
     sizes = np.array([len(cut.columns) for cut in rows], np.int32)
-    return columns, values, sizes, np.array([cut.limit for cut in rows], float)
+    return [columns, values, sizes, np.array([cut.limit for cut in rows], float)]
 
 
 @contextmanager

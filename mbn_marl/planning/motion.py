@@ -64,42 +64,35 @@ class Separation:
     normal: tuple[float, float]
 
 
-def solve_motion(
-    problem: Problem,
-    steps: int,
-    visits: Sequence[Sequence[tuple[int, int]]],
-    places: Sequence[Sequence[HalfPlanes]],
-    separations: Sequence[Separation],
-) -> tuple[Floats, NDArray[np.float32]] | None:
-    """Return the motions of least effort in ``steps`` steps, or ``None`` if the solver failed.
+class _ConicProgram:
+    """Collects rows ``A x + s = b``; the columns are the robots' offsets, rooms, shortfalls.
 
-    They are (n, T, 2), the positions after each step, units, and (T, n, 2), actions in [-1, 1].
     ``visits`` has for each robot pairs of a step (1 to T) and the ROI to visit then; ``places`` has
     for each robot and step the convex set to be in; a single set is for all steps.
     """
-    program = _ConicProgram(problem, steps, len(separations))
-    for i in range(problem.n):
-        program.add_robot(i, places[i], visits[i])
-    program.separate(separations)
-    return program.solve()
 
-
-class _ConicProgram:
-    """Collects rows ``A x + s = b``; the columns are the robots' offsets, rooms, shortfalls."""
-
-    def __init__(self, problem: Problem, steps: int, shortfalls: int) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        steps: int,
+        visits: Sequence[Sequence[tuple[int, int]]],
+        places: Sequence[Sequence[HalfPlanes]],
+        separations: Sequence[Separation],
+    ) -> None:
         self.problem, self.steps = problem, steps
         self.block = 2 * steps
         self.rooms = problem.n * self.block
         self.shortfalls = self.rooms + 2 * problem.n
-        self.width = self.shortfalls + shortfalls
-        self.linear: list[Sparse] = []
-        self.limits: list[Floats] = []
-        self.cones: list[Sparse] = []
-        self.cone_limits: list[Floats] = []
+        self.width = self.shortfalls + len(separations)
+        self.linear: list[tuple[Sparse, Floats]] = []  # rows of ``A``, and ``b``
+        self.cones: list[tuple[Sparse, Floats]] = []
         self.speed, self.change = _differences(steps)
+        for i in range(problem.n):
+            self._add_robot(i, places[i], visits[i])
+        if separations:
+            self._separate(separations)
 
-    def add_robot(
+    def _add_robot(
         self, i: int, places: Sequence[HalfPlanes], visits: Sequence[tuple[int, int]]
     ) -> None:
         """Limit robot i's velocity and force; keep it in its places and in the visits' discs.
@@ -119,8 +112,7 @@ class _ConicProgram:
             (-self.change, np.maximum(force - push, 0.0) - first),
         ):
             entries = rows.data, rows.indices + left, rows.indptr
-            self.linear.append(sp.csr_matrix(entries, (self.block, self.width)))
-            self.limits.append(limits)
+            self.linear.append((sp.csr_matrix(entries, (self.block, self.width)), limits))
         rooms = [disc_room, disc_room + 1]
         self._append([[0, 1]], [rooms], [[1.0, 1.0]], [DISC_ROOM, FIELD_ROOM])
         places = [*places] * steps if len(places) == 1 else places
@@ -132,14 +124,11 @@ class _ConicProgram:
         for step, j in visits:
             at = [disc_room, left + step - 1, left + steps + step - 1]
             row = sp.csr_matrix(([1.0, -1.0, -1.0], ([0, 1, 2], at)), (3, self.width))
-            self.cones.append(row)
             offset = problem.starts[i] - problem.rois[j]
-            self.cone_limits.append(np.array([problem.config.roi_radius, *offset]))
+            self.cones.append((row, np.array([problem.config.roi_radius, *offset])))
 
-    def separate(self, separations: Sequence[Separation]) -> None:
+    def _separate(self, separations: Sequence[Separation]) -> None:
         count = len(separations)
-        if not count:
-            return
         n, starts, others = self.problem.n, self.problem.starts, self.problem.others_for(self.steps)
         normals = np.array([pair.normal for pair in separations])
         moves = np.array([pair.j < n for pair in separations])
@@ -158,17 +147,18 @@ class _ConicProgram:
         self._append([np.arange(count)], [spare], [one], np.zeros(count))
 
     def solve(self) -> tuple[Floats, NDArray[np.float32]] | None:
-        """Return the optimum, or ``None`` if the solver failed."""
-        limits = np.concatenate(self.limits + self.cone_limits)
-        lines = sum(len(one) for one in self.limits)
-        kinds = [clarabel.NonnegativeConeT(lines)]
+        """Return the motions of least effort, or ``None`` if the solver failed.
+
+        They are (n, T, 2), the positions after each step, units, and (T, n, 2), actions in [-1, 1].
+        """
+        rows, limits = zip(*self.linear, *self.cones, strict=True)
+        kinds = [clarabel.NonnegativeConeT(sum(len(one) for _, one in self.linear))]
         kinds += [clarabel.SecondOrderConeT(3)] * len(self.cones)
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_threads = 1
-        rows = sp.vstack(self.linear + self.cones, format="csc")
-        solver = clarabel.DefaultSolver(*self._cost(), rows, limits, kinds, settings)
-        solution = solver.solve()
+        parts = sp.vstack(rows, format="csc"), np.concatenate(limits), kinds
+        solution = clarabel.DefaultSolver(*self._cost(), *parts, settings).solve()
         x = np.array(solution.x)
         solved = ("Solved", "AlmostSolved", "InsufficientProgress", "MaxIterations")
         if str(solution.status) not in solved or not np.all(np.isfinite(x)):
@@ -207,8 +197,8 @@ class _ConicProgram:
 
     def _append(self, rows: Parts, columns: Parts, values: Parts, limits: ArrayLike) -> None:
         entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
-        self.limits.append(np.asarray(limits))
-        self.linear.append(sp.csr_matrix(entries, (len(self.limits[-1]), self.width)))
+        limits = np.asarray(limits)
+        self.linear.append((sp.csr_matrix(entries, (len(limits), self.width)), limits))
 
     def _span(self, i: int) -> slice:
         return slice(i * self.block, (i + 1) * self.block)
@@ -287,8 +277,8 @@ def coordinate(
     for _ in range(FEWER if far else ROUNDS):
         separations.update({(pair.i, pair.j, pair.step): pair for pair in close})
         places = surroundings(problem, paths)
-        motion = solve_motion(problem, steps, visits, places, list(separations.values()))
-        if motion is None:
+        program = _ConicProgram(problem, steps, visits, places, list(separations.values()))
+        if (motion := program.solve()) is None:
             return None
         paths, actions = motion
         if (verified := verify(paths, actions)) is not None:

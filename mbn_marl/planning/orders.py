@@ -13,7 +13,6 @@ from mbn_marl.planning.problem import Drive, Floats, Start
 from mbn_marl.planning.relaxation import (
     TIME,
     VX,
-    Disc,
     Region,
     Relaxation,
     Solved,
@@ -51,30 +50,28 @@ class Visits:
 
 @dataclass
 class Search:
-    """Searches steps at which one robot can visit discs in order, within windows."""
+    """Searches steps at which one robot can visit a relaxation's discs in order, within windows."""
 
-    start: Start  # of the robot, at step 0
-    drive: Drive
-    region: Region  # must not be left
+    relaxation: Relaxation  # whose region must not be left
     obstacles: tuple[Region, ...]  # must not be entered
     slack: float  # allowance of the discs for rounding, in units
     highs: highspy.Highs
     deadline: float  # on the clock
     clock: Callable[[int], float]
 
-    def possible(self, discs: tuple[Disc, ...], windows: StepWindows) -> bool:
+    def possible(self, windows: StepWindows) -> bool:
         """Return whether the relaxation allows the windows; ``False`` is a proof that they fail."""
         tight = windows.tightened()
         if tight is None:
             return False
-        relaxation = Relaxation(self.start, self.drive, self.region, discs)
-        solved = relaxation.solve(self.highs, tight, relaxation.tangents(), self.slack)
+        tangents = self.relaxation.tangents()
+        solved = self.relaxation.solve(self.highs, tight, tangents, self.slack)
         return solved.bound <= self.slack
 
-    def visits(self, discs: tuple[Disc, ...], windows: StepWindows) -> Visits | None:
+    def visits(self, windows: StepWindows) -> Visits | None:
         """Return steps for the discs, within the windows; ``None`` is a proof that none exist."""
         best: Visits | None = None
-        relaxation = Relaxation(self.start, self.drive, self.region, discs)
+        relaxation = self.relaxation
         nodes = [(windows, relaxation.tangents())]
         while nodes:
             wide, cuts = nodes.pop()
@@ -88,27 +85,25 @@ class Search:
             if solved.bound > enough:
                 continue
             if tight.fixed:
-                best = self._follow(relaxation, tight, solved, enough) or best
+                best = self._follow(tight, solved, enough) or best
                 if best is not None and best.inflation <= -ROOM:
                     return best
             else:
                 nodes.extend((part, solved.cuts) for part in _branch(relaxation, tight, solved))
         return best
 
-    def _follow(
-        self, relaxation: Relaxation, windows: StepWindows, solved: Solved, enough: float
-    ) -> Visits | None:
+    def _follow(self, windows: StepWindows, solved: Solved, enough: float) -> Visits | None:
         """Keep the whole path out of the obstacles, for fixed times, by further stops.
 
         A stop is beyond one of an obstacle's edges; all are tried. After :data:`MOST_VIAS` a path
         that may cross obstacles is returned: it is not proved that there is none.
         """
-        nodes = [(relaxation, windows.first, solved)]
+        nodes = [(self.relaxation, windows.first, solved)]
         for _ in range(MOST_VIAS):
             if self.clock(1) > self.deadline:
                 raise OutOfTimeError
             relaxation, stops, solved = nodes.pop()
-            path = interpolate(self.start, self.drive, solved.points)
+            path = interpolate(relaxation.start, relaxation.drive, solved.points)
             step, parts = self._crossing(path, stops)
             if not parts:
                 break
@@ -128,7 +123,8 @@ class Search:
 
         That is beyond one of an obstacle's edges, the nearest one last, or anywhere in the region.
         """
-        beyond = [(path @ self.region.normals.T - self.region.offsets).max(axis=1, initial=-1.0)]
+        region = self.relaxation.region
+        beyond = [(path @ region.normals.T - region.offsets).max(axis=1, initial=-1.0)]
         beyond += [(one.offsets - path @ one.normals.T).min(axis=1) for one in self.obstacles]
         depth = np.array(beyond)
         depth[0, [stop - 1 for stop in stops]] = -1.0  # stops are in the region

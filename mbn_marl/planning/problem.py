@@ -56,9 +56,7 @@ class Problem:
     forces: Floats  # (n, 2), the velocity that a full force adds in a step, units/step
     wind: Floats  # (2,), the velocity that the wind adds in a step, units/step
     area: shapely.Polygon  # where robots may be: the field, or less of it
-    others: (
-        Floats  # (k, H, 2), the next positions of robots in the way, the last one theirs for good
-    )
+    others: Floats  # (k, H, 2), the next positions of robots in the way, which stay at the last
     clock: Callable[[int], float] = lambda work: time.monotonic()
     """That of all deadlines, after so much more work: 1 for a linear program."""
 
@@ -167,22 +165,18 @@ def make_problem(field: Field, config: NavigationConfig, *, closed_loop: bool = 
     wrong = {
         f"n_robots: {field.name} has {len(field.starts)} starts, not {n}": n > len(field.starts),
         "random_starts: allowed: False; a plan is for given starts": config.random_starts,
-        **{
-            f"{name}: allowed: none; a plan leaves out those in visited=": getattr(config, name)
-            and not closed_loop
-            for name in DECOYS
-        },
-        "failures: allowed: None": config.failures is not None and not closed_loop,
         f"dynamics: {others}; allowed: 'point_mass'; no other bound is known": others,
-        **{
-            f"{name}: {value}; allowed: 0, no disturbance": value and not closed_loop
-            for name, value in ((name, getattr(config, name)) for name in OF_ROBOTS)
-        },
         **{
             f"{name}: expected {n} numbers, one per robot, got {len(each)}": len(each) != n
             for name, each in limits.items()
         },
     }
+    if not closed_loop:
+        none = "allowed: none; a plan leaves out those in visited="
+        wrong |= {f"{name}: {none}": getattr(config, name) for name in DECOYS}
+        noise = {name: getattr(config, name) for name in OF_ROBOTS}
+        wrong |= {f"{name}: {one}; allowed: 0, no disturbance": one for name, one in noise.items()}
+        wrong["failures: allowed: None"] = config.failures is not None
     problems += [problem for problem, applies in wrong.items() if applies]
     if problems:
         raise ConfigError("plan", problems)

@@ -233,11 +233,7 @@ class Tracker:
         self.actions: Floats = plan.actions.astype(float)
 
     def act(
-        self,
-        positions: FloatArray,
-        velocities: FloatArray,
-        visited: Flags,
-        failed: Flags,
+        self, positions: FloatArray, velocities: FloatArray, visited: Flags, failed: Flags
     ) -> NDArray[np.float32]:
         """Return actions (n, 2) in [-1, 1]; arguments as for :meth:`Greedy.act`."""
         problem, k = self.problem, self.step

@@ -41,7 +41,7 @@ class Player:
         unread = ("observation", "assignment", "one_hot", "sensing_radius")
         plain = {name: NavigationConfig.model_fields[name].default for name in unread}
         config = problem.config.model_copy(update=plain)
-        settings = {name: getattr(config, name) for name in NavigationConfig.model_fields}
+        settings = dict(config)
         self._engine = BatchEngine(problem.field, 1, autoreset="disabled", threads=1, **settings)
         self._engine.reset()
         self._engine.step(np.zeros((1, problem.n, 2), np.float32))
@@ -51,16 +51,13 @@ class Player:
         last = len(problem.field.rois) - 1
         self._start["now.visited"] |= sum(1 << last - j for j in set(visited))
 
-    def replay(self, actions: NDArray[np.float32]) -> Playback:
-        rows = iter(actions)
-        return self.play(lambda *_: next(rows, None))
-
     def verify(self, _: Floats, actions: NDArray[np.float32]) -> Playback | None:
         """Return the episode with the actions (T, n, 2), rounded if need be, if it is clean."""
         whole = np.round(actions)
         for grid in GRIDS:
             snapped = np.where(np.abs(actions - whole) <= grid, whole, actions)
-            playback = self.replay(snapped.astype(np.float32))
+            rows = iter(snapped.astype(np.float32))
+            playback = self.play(lambda *_, rows=rows: next(rows, None))
             if playback.clean:
                 return playback
         return None

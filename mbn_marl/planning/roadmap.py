@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import shapely
@@ -52,7 +53,7 @@ class Roadmap:
         for eye in (corner, moved_into(self.area, point[None])[0]):
             total = np.where(reached, np.inf, rest + np.hypot(*(targets - eye).T))
             for k in np.argsort(total):
-                if np.isfinite(total[k]) and sees(self.area, eye, targets[k][None])[0]:
+                if np.isfinite(total[k]) and sees(self.area, eye, targets[k]):
                     return np.asarray(targets[k])
         return goal
 
@@ -66,9 +67,7 @@ def make_roadmap(area: shapely.Geometry, places: Floats, *, largest: bool = Fals
     corners = _corners(area)
     nodes = np.concatenate([moved, corners])
     a, b = np.triu_indices(len(nodes), 1)
-    seen = shapely.covers(
-        shapely.buffer(area, TOUCH), shapely.linestrings(np.stack([nodes[a], nodes[b]], axis=1))
-    )
+    seen = sees(area, nodes[a], nodes[b])
     offsets = np.abs(nodes[a] - nodes[b])
     lengths = offsets.max(axis=1) if largest else np.hypot(*offsets.T)
     graph = np.full((len(nodes), len(nodes)), np.inf)
@@ -80,11 +79,10 @@ def make_roadmap(area: shapely.Geometry, places: Floats, *, largest: bool = Fals
     return Roadmap(area, moved, corners, shortest, before)
 
 
-def sees(area: shapely.Geometry, point: Floats, targets: Floats) -> NDArray[np.bool_]:
-    """Return (k,): whether the straight lines to the targets (k, 2) stay in the area."""
-    ends = np.stack([np.broadcast_to(point, targets.shape), targets], axis=1)
-    seen: NDArray[np.bool_] = shapely.covers(shapely.buffer(area, TOUCH), shapely.linestrings(ends))
-    return seen
+def sees(area: shapely.Geometry, points: Floats, targets: Floats) -> Any:
+    """Return whether the straight lines from points (..., 2) to targets stay in the area."""
+    lines = shapely.linestrings(np.stack([points, targets], axis=-2))
+    return shapely.covers(shapely.buffer(area, TOUCH), lines)
 
 
 def moved_into(area: shapely.Geometry, places: Floats) -> Floats:
@@ -95,18 +93,14 @@ def moved_into(area: shapely.Geometry, places: Floats) -> Floats:
 
 
 def _corners(area: shapely.Geometry) -> Floats:
+    """Return the corners at which rings turn away from the area."""
     found = [np.zeros((0, 2))]
     for polygon in shapely.get_parts(area):
-        found.append(_reflex(np.array(polygon.exterior.coords)[:-1], True))
-        found += [_reflex(np.array(hole.coords)[:-1], False) for hole in polygon.interiors]
+        for k, ring in enumerate((polygon.exterior, *polygon.interiors)):
+            corners = np.array(ring.coords)[:-1]
+            into = corners - np.roll(corners, 1, axis=0)
+            out = np.roll(corners, -1, axis=0) - corners
+            turns = into[:, 0] * out[:, 1] - into[:, 1] * out[:, 0]
+            # The area is to the left of a counter-clockwise outline, and of a clockwise hole.
+            found.append(corners[turns < 0 if ring.is_ccw == (k == 0) else turns > 0])
     return np.concatenate(found)
-
-
-def _reflex(ring: Floats, outer: bool) -> Floats:
-    """Return the corners at which a ring turns away from its area."""
-    x, y = ring.T
-    doubled = np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))
-    into, out = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
-    turns = into[:, 0] * out[:, 1] - into[:, 1] * out[:, 0]
-    keeps_left = (doubled > 0) == outer
-    return ring[turns < 0] if keeps_left else ring[turns > 0]

@@ -23,7 +23,7 @@ from mbn_marl.planning.linear_program import make_solver
 from mbn_marl.planning.orders import OutOfTimeError, Search, Visits
 from mbn_marl.planning.partition import cheapest_partition, least_makespan
 from mbn_marl.planning.problem import Floats, Problem
-from mbn_marl.planning.relaxation import Disc, StepWindows, make_region
+from mbn_marl.planning.relaxation import Disc, Relaxation, StepWindows, make_region
 from mbn_marl.planning.roadmap import Roadmap, make_roadmap
 
 GATE = 6.0
@@ -168,15 +168,14 @@ class Team:
             longer, left = (*order, j), rest & ~(1 << j)
             discs, windows, rois = self._stops(i, longer, makespan - tail, ends=left == 0)
             start, drive = self.problem.start(i), self.problem.drives[i]
-            bounds = self.region, self.obstacles
-            search = Search(
-                start, drive, *bounds, self.slack, self.highs, self.deadline, self.problem.clock
-            )
+            relaxation = Relaxation(start, drive, self.region, discs)
+            limits = self.highs, self.deadline, self.problem.clock
+            search = Search(relaxation, self.obstacles, self.slack, *limits)
             if left == 0:
-                if (visits := search.visits(discs, windows)) is not None:
+                if (visits := search.visits(windows)) is not None:
                     steps = tuple(visits.steps[k] for k in rois)
                     return Route(longer, replace(visits, steps=steps))
-            elif len(longer) == 1 or search.possible(discs, windows):
+            elif len(longer) == 1 or search.possible(windows):
                 if (route := self._extend(i, longer, left, makespan)) is not None:
                     return route
                 continue
@@ -199,28 +198,22 @@ class Team:
         wait, it ends at exactly that step.
         """
         n, radius = self.problem.n, self.problem.config.roi_radius
-        discs: list[Disc] = []
-        first: list[int] = []
-        least: list[int] = []
+        stops: list[tuple[Disc, int, int]] = []  # with the first step, and the fewest of the leg
         rois: list[int] = []
         reached, place = 0, i
         for k, j in enumerate(order):
             gates = self.gates.get((place, n + j), ())
             leg = int(self.legs.between[order[k - 1], j] if k else self.legs.first[i, j])
-            discs += gates
-            first += [reached] * len(gates)
-            least += [0] * len(gates)
+            stops += [(gate, reached, 0) for gate in gates]
             reached, place = self._reached(i, order[: k + 1]), n + j
-            rois.append(len(discs))
+            rois.append(len(stops))
             x, y = self.problem.rois[j].tolist()
-            discs.append(Disc((x, y), radius))
-            first.append(reached)
-            least.append(0 if gates else leg)
+            stops.append((Disc((x, y), radius), reached, 0 if gates else leg))
+        discs, first, least = zip(*stops, strict=True)
         if ends and self.problem.can_wait:
-            first[-1] = last
-        count = len(discs)
-        windows = StepWindows(tuple(first), (last,) * count, tuple(least), (last,) * count)
-        return tuple(discs), windows, rois
+            first = (*first[:-1], last)
+        latest = (last,) * len(stops)
+        return discs, StepWindows(first, latest, least, latest), rois
 
 
 def make_guide(problem: Problem, horizon: int, deadline: float) -> Team:

@@ -45,8 +45,7 @@ def test_array_needs_no_display_and_opens_none():
 
 def test_without_pygame_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
-    for module in ("scene", "sprites"):
-        monkeypatch.delitem(sys.modules, f"mbn_marl.render.{module}", raising=False)
+    monkeypatch.delitem(sys.modules, "mbn_marl.render.scene", raising=False)
     with pytest.raises(ImportError, match=r"\.\[render\]"):
         Viewer("rgb_array").draw(snapshot())
 

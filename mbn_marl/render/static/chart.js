@@ -9,7 +9,8 @@ class Chart {
     this.episode = episode;
     this.span = span;
     const total = { name: "return", totals: episode.returns, kind: "total" };
-    const terms = episode.terms.map((term) => ({ ...term, kind: kindOf(term.totals) }));
+    const kind = (sums) => (sums.at(-1) < 0 ? "cost" : "gain");
+    const terms = episode.terms.map((term) => ({ ...term, kind: kind(term.totals) }));
     this.rows = [total, ...terms].map((term) => this.#row(term));
     this.cursor = html("div", { class: "cursor" });
     this.element = html(
@@ -57,10 +58,6 @@ class Chart {
     const axis = html("div", { class: "ticks" }, ...ticks);
     return html("div", { class: "term steps" }, axis, html("span", { class: "unit" }, "steps"));
   }
-}
-
-function kindOf(sums) {
-  return sums[sums.length - 1] < 0 ? "cost" : "gain";
 }
 
 /** The least and the greatest of some running totals and 0. */

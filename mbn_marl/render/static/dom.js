@@ -32,8 +32,3 @@ function brief(number) {
     .toLocaleString("en-US", { notation: "compact", maximumSignificantDigits: 4 })
     .replace("-", "\u2212");
 }
-
-/** How robot `index` is coloured: its colours are named in the page's styles. */
-function robotColour(index, colours) {
-  return `var(--robot-${index % colours})`;
-}

@@ -28,26 +28,17 @@ function totals(steps, step) {
 
 class Episode {
   constructor(file) {
-    const numbers = { ...file.config, ...file.drawn };
-    Object.assign(this, {
-      field: file.field,
+    const { config, drawn, knowledge, headings, winds } = file;
+    const numbers = { ...config, ...drawn };
+    Object.assign(this, file, {
       source: file.source || "episode",
-      seed: file.seed,
-      robots: file.robots,
-      steps: file.steps,
-      outcome: file.outcome,
-      wind: file.wind,
-      visits: file.visits,
-      failures: file.failed ?? [],
       roiRadius: numbers.roi_radius,
       safetyDistance: numbers.safety_distance,
+      places: unpack(file.positions),
+      knowledge: knowledge && { ...knowledge, heard: unpack(knowledge.heard) },
+      headings: headings && unpack(headings),
+      winds: winds && unpack(winds),
     });
-    this.places = unpack(file.positions);
-    if (file.knowledge) {
-      this.knowledge = { ...file.knowledge, heard: unpack(file.knowledge.heard) };
-    }
-    this.headings = file.headings ? unpack(file.headings) : null;
-    this.winds = file.winds ? unpack(file.winds) : null;
     const team = decode(file.rewards.team);
     this.returns = totals(this.steps, (t) => team[t]);
     this.terms = this.#termTotals(file.rewards);
@@ -99,7 +90,7 @@ class Episode {
   }
 
   isVisited(roi, time) {
-    return this.visits[roi] !== null && this.visits[roi] <= time;
+    return (this.visits[roi] ?? Infinity) <= time;
   }
 
   /** How an ROI looks at `time`: to a robot that knows only its own, or, to none, as it is. */
@@ -122,8 +113,7 @@ class Episode {
   }
 
   hasFailed(robot, time) {
-    const step = this.failures[robot] ?? null;
-    return step !== null && step <= time;
+    return (this.failed?.[robot] ?? Infinity) <= time;
   }
 
   visitedCount(time) {

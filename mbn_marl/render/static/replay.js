@@ -216,30 +216,24 @@ class Replay {
   }
 }
 
-/**
- * Every replay of the page. Keys go to the one that was last touched; before that, and after a touch
- * beside them all, to the one that is marked with data-keys, or to none.
- */
-function mount() {
-  const colours = Number(document.documentElement.dataset.colours);
-  const replays = [...document.querySelectorAll("[data-replay]")].map((root) => {
-    const files = JSON.parse(document.getElementById(root.dataset.replay).textContent);
-    return { root, replay: new Replay(root, files, colours) };
-  });
-  const first = replays.find(({ root }) => "keys" in root.dataset);
-  let current = first;
-  for (const kind of ["pointerdown", "focusin"]) {
-    document.addEventListener(kind, (event) => {
-      current = replays.find(({ root }) => root.contains(event.target)) ?? first;
-    });
-  }
-  document.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || !current) return;
-    const on = event.target.tagName;
-    const pressed = event.key === " " && event.target.matches("button, [type=checkbox]");
-    if (on === "SELECT" || pressed) return;
-    if (current.replay.press(event.key, event.shiftKey)) event.preventDefault();
+// Every replay of the page. Keys go to the one that was last touched; before that, and after a touch
+// beside them all, to the one that is marked with data-keys, or to none.
+const colours = Number(document.documentElement.dataset.colours);
+const replays = [...document.querySelectorAll("[data-replay]")].map((root) => {
+  const files = JSON.parse(document.getElementById(root.dataset.replay).textContent);
+  return { root, replay: new Replay(root, files, colours) };
+});
+const first = replays.find(({ root }) => "keys" in root.dataset);
+let current = first;
+for (const kind of ["pointerdown", "focusin"]) {
+  document.addEventListener(kind, (event) => {
+    current = replays.find(({ root }) => root.contains(event.target)) ?? first;
   });
 }
-
-mount();
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || !current) return;
+  const on = event.target.tagName;
+  const pressed = event.key === " " && event.target.matches("button, [type=checkbox]");
+  if (on === "SELECT" || pressed) return;
+  if (current.replay.press(event.key, event.shiftKey)) event.preventDefault();
+});

@@ -87,7 +87,7 @@ class Stage {
   }
 
   #colour(robot) {
-    return robotColour(robot, this.colours);
+    return `var(--robot-${robot % this.colours})`;
   }
 
   #robots(make) {
