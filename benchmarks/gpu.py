@@ -1,7 +1,5 @@
 """The speed of ``BatchEngine(device="cuda")``, once it equals the CPU bit for bit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar

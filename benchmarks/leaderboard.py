@@ -1,7 +1,5 @@
 """The leaderboard: a page made of the results that are committed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path

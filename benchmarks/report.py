@@ -1,7 +1,5 @@
 """Run a benchmark, print its tables, and write its figures as JSON into a folder."""
 
-from __future__ import annotations
-
 import math
 import os
 import platform

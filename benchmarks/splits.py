@@ -1,7 +1,5 @@
 """The frozen fields of a benchmark: made, planned for, proved, written down; and verified."""
 
-from __future__ import annotations
-
 import hashlib
 import time
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The figures of the pages of results: makespan over the proved optimum, a dot a run."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

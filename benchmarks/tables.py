@@ -1,7 +1,5 @@
 """The tables of the pages of results, of the same rows as their figures."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

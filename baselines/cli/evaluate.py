@@ -1,7 +1,5 @@
 """``mbn evaluate``, ``zoo`` and ``export``: trained policies, and classical ones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """``mbn grid``: many runs, declared in a file, on this machine or on a cluster."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """``mbn train`` and ``mbn transfer``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any

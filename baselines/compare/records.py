@@ -1,7 +1,5 @@
 """The one reader of runs: what run folders record, and which of them may be compared."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections import Counter
@@ -9,7 +7,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +84,7 @@ class RunRecord:
     fields: Field | FieldSampler
 
     @classmethod
-    def read(cls, run: RunFolder, *, finished: bool = True) -> RunRecord:
+    def read(cls, run: RunFolder, *, finished: bool = True) -> Self:
         """Read a run, with all that a comparison needs if ``finished``; a RunError names a file."""
         of_tier = finished and run.config.get("tier") is not None
         record = cls(run, run.config, run.fields if of_tier else run.field)
@@ -248,7 +246,7 @@ class Results:
         records: Sequence[RunRecord],
         broken: Mapping[str, str] | None = None,
         order: Sequence[str] = (),
-    ) -> Results:
+    ) -> Self:
         """Put finished runs together; a ConfigError names all that makes them unequal."""
         if not records:
             raise ConfigError("comparison", ["runs: there is none"])
@@ -293,7 +291,7 @@ class Results:
         unknown = {one.place for one in self.records if one.row["spl"] is None}
         return [name for name in self.fields if name not in unknown]
 
-    def on(self, fields: Collection[str]) -> Results:
+    def on(self, fields: Collection[str]) -> "Results":
         cells = {place: cell for place, cell in self.cells.items() if place[1] in fields}
         return Results(self.looks, tuple(fields), cells)
 

@@ -1,7 +1,5 @@
 """A comparison as a Markdown page beside its tables and figures, or as one HTML page."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import shutil

@@ -1,7 +1,5 @@
 """Train variants on fields with equal budgets, and compare what the runs recorded."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from baselines.algorithms import find_algorithm

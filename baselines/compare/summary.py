@@ -5,8 +5,6 @@ percentile bootstrap, stratified: each resample draws, within every field, as ma
 are, with replacement (Agarwal et al., NeurIPS 2021).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence

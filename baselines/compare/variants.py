@@ -1,7 +1,5 @@
 """The subjects of a comparison, variants of algorithms, and what is compared, at equal budgets."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The report on the paper's experiments: a Markdown page, tables and figures."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files

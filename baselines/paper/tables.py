@@ -1,9 +1,8 @@
 """The paper's tables beside what the runs here give, and how both compare at a glance."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import pandas
@@ -72,7 +71,7 @@ class PaperTable:
     cells: DataFrame
 
     @classmethod
-    def of(cls, kind: str, sample: str, names: Iterable[str], rows: DataFrame) -> PaperTable:
+    def of(cls, kind: str, sample: str, names: Iterable[str], rows: DataFrame) -> Self:
         here = {
             (*key, "here"): Series(SAMPLES[sample][1](group), list(STATISTICS))
             for key, group in rows.groupby([kind, "setting"], sort=False)

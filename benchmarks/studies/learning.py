@@ -1,7 +1,5 @@
 """The comparisons of learning."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
