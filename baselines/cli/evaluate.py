@@ -9,6 +9,12 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import OptionalOutput, Output, Subject, Writes, check_options
+from baselines.compare.text_table import TextTable, shown
+from baselines.runs.files import claim_folder, read_json, write_json
+from baselines.runs.folder import RunFolder
+from mbn_marl.config import make_config
+from mbn_marl.field import FieldSampler
+from mbn_marl.files import check_ending, check_free, claim_file
 
 ONE_EPISODE = "deterministic:\none episode"
 NUMBERS = {
@@ -42,10 +48,8 @@ class Evaluate(Subject):
         )
         from baselines.policies.load import find_policy, is_trained, open_run
         from baselines.policies.shielded import Shielded, behind
-        from baselines.runs.files import claim_folder, write_json
         from mbn_marl.engine.validation import reset_problems
         from mbn_marl.episode import save_episode
-        from mbn_marl.files import check_free, claim_file
 
         seed = EVALUATION_SEED if self.seed is None else self.seed
         wrong = {f"episodes: at least 1, not {self.episodes}": self.episodes < 1}
@@ -87,8 +91,6 @@ def print_evaluations(
     one: Callable[..., bool] = lambda *, deterministic: False,
 ) -> None:
     """Print summaries, one a row; ``one`` says if all episodes of a row are the same."""
-    from baselines.compare.text_table import TextTable
-
     lines = []
     for row in summaries:
         episodes = ONE_EPISODE if one(deterministic=row["deterministic"]) else str(row["episodes"])
@@ -98,7 +100,6 @@ def print_evaluations(
 
 
 def _cells(summary: Mapping[str, Any]) -> Iterator[str]:
-    from baselines.compare.text_table import shown
 
     yield "mean" if summary["deterministic"] else "sampled"
     for name, form in NUMBERS.values():
@@ -116,10 +117,7 @@ class Zoo(Writes):
 
     def run(self, command_line: str) -> None:
         from baselines.policies.load import CARD, ENTRIES, entry_names
-        from baselines.runs.files import read_json
-        from baselines.runs.folder import RunFolder
         from baselines.zoo.make import make_entry
-        from mbn_marl.field import FieldSampler
 
         check_options("zoo", {"out: allowed with --add": self.out and self.add is None})
         if self.add is None:
@@ -132,7 +130,6 @@ class Zoo(Writes):
 
 
 def print_cards(cards: Iterable[Mapping[str, Any]]) -> None:
-    from baselines.compare.text_table import TextTable
 
     lines = [
         (f"zoo:{card['name']}", card["information"], *_cells(card[kind]), f"{card['env_steps']:,}")
@@ -157,8 +154,6 @@ class Export(Writes):
     def run(self, command_line: str) -> None:
         from baselines.policies.export import ALLOWED, export_policy
         from baselines.policies.load import check_known, find_policy, is_trained
-        from mbn_marl.config import make_config
-        from mbn_marl.files import check_ending
 
         check_ending(self.out, ".onnx")
         check_known(self.policy)

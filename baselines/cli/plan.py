@@ -13,10 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import OptionalOutput, Writes, check_options
-from mbn_marl.config import Condition, Observation
+from baselines.console import console
+from baselines.runs.files import claim_folder, read_json, write_arrays, write_json
+from mbn_marl.config import Condition, Observation, make_config
+from mbn_marl.errors import ConfigError, FieldError, MbnError
+from mbn_marl.field import Field, load_field
+from mbn_marl.files import replacing
 
 if TYPE_CHECKING:
-    from mbn_marl.field import Field
     from mbn_marl.planning import Plan as FoundPlan
 
 
@@ -38,9 +42,6 @@ class Plan(Writes):
     """The folder to write; by default runs/plan-FIELD."""
 
     def run(self, command_line: str) -> None:
-        from baselines.runs.files import claim_folder, write_json
-        from mbn_marl.config import make_config
-        from mbn_marl.field import load_field
         from mbn_marl.planning import plan
         from mbn_marl.planning.problem import make_problem
 
@@ -75,7 +76,6 @@ class Plan(Writes):
         self._keep_optimum(found, changed)
 
     def _keep_optimum(self, found: FoundPlan, changed: bool) -> None:
-        from mbn_marl.errors import MbnError
 
         path, line = Path(self.field), f"optimal_makespan: {found.makespan}"
         if self.write and not found.optimal:
@@ -88,7 +88,6 @@ class Plan(Writes):
 
 
 def proved_makespan(folder: Path, field: Field, settings: Mapping[str, Any]) -> int | None:
-    from baselines.runs.files import read_json
 
     path = folder / "plan.json"
     found = read_json(path) if path.is_file() else None
@@ -102,10 +101,6 @@ def proved_makespan(folder: Path, field: Field, settings: Mapping[str, Any]) -> 
 
 def write_optimum(path: Path, makespan: int | None) -> None:
     """Write a proved optimum into a field file, which has to be a block of YAML."""
-    from mbn_marl.errors import ConfigError, FieldError
-    from mbn_marl.field import load_field
-    from mbn_marl.files import replacing
-
     path = path.resolve()  # a link stays one
     text = path.read_bytes().decode()
     end = "\r\n" if "\r\n" in text else "\n"
@@ -125,26 +120,20 @@ def write_optimum(path: Path, makespan: int | None) -> None:
 
 
 def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> list[str]:
-    from baselines.runs.files import write_arrays
-    from mbn_marl.config import make_config
-    from mbn_marl.episode import play, save_episode
-    from mbn_marl.render import figures
+    from baselines.evaluation.rollout import write_episode
+    from mbn_marl.episode import play
 
-    config = make_config(settings)
     kind = ", proved optimal" if found.optimal else ""
-    episode = play(found.field, config, found.actions, source=f"plan{kind}")
-    save_episode(episode, folder / "episode.json")
+    episode = play(found.field, make_config(settings), found.actions, source=f"plan{kind}")
+    write_episode(episode, folder / "episode.json")
     write_arrays(folder / "plan.npz", {"actions": found.actions, "positions": found.trail})
     title = f"{found.field.name}: {found.makespan} steps{', optimal' if found.optimal else ''}"
-    figure = figures.trajectory_figure(episode.snapshot(episode.steps), title)
-    figures.save(figure, folder / "plan.png")
+    write_episode(episode, folder / "plan.png", title)
     return ["plan.npz", "plan.png", "episode.json"]
 
 
 def print_plan(found: FoundPlan) -> None:
     from rich.table import Table
-
-    from baselines.console import console
 
     table = Table(title=f"plan of {found.field.name}", show_header=False)
     none = found.makespan is None

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import OptionalOutput, Output, Subject, Writes, check_options
+from baselines.runs.files import write_text
+from mbn_marl.errors import FieldError
+from mbn_marl.files import check_ending, check_free, claim_file
 
 if TYPE_CHECKING:
     from mbn_marl.episode import Episode
@@ -31,7 +34,6 @@ class Render(Subject):
 
     def run(self, command_line: str) -> None:
         from baselines.evaluation.rollout import FORMATS, write_episode
-        from mbn_marl.files import check_ending, check_free, claim_file
 
         few = self.steps is not None and self.steps < 1
         check_options("render", {f"steps: at least 1, not {self.steps}": few})
@@ -46,7 +48,6 @@ class Render(Subject):
         from baselines.policies.load import RANDOM, find_policy
         from mbn_marl.episode import check_episode, is_episode_file, load_episode
         from mbn_marl.episode.files import EXPECTED
-        from mbn_marl.errors import FieldError
 
         if is_episode_file(self.source):
             names = ("field", "condition", "wind", "sampled", "seed", "steps")
@@ -82,12 +83,9 @@ class Replay(Writes):
     """Files of episodes, such as `mbn render RUN -o episode.json` writes."""
     out: Output
     """The .html file to write."""
-    title: str | None = None
-    """Of the page; by default the fields' names."""
 
     def run(self, command_line: str) -> None:
         from mbn_marl.episode import check_episode, load_episode
-        from mbn_marl.files import check_ending, check_free, claim_file, replacing
         from mbn_marl.render.web import replay_page
 
         check_free(check_ending(self.out, ".html"), force=self.force)
@@ -96,9 +94,7 @@ class Replay(Writes):
             replace(check_episode(episode, str(path)), source=f"{episode.source} ({path})")
             for path, episode in episodes.items()
         ]
-        page = replay_page(shown, self.title)
-        with replacing(claim_file(self.out, force=self.force)) as temporary:
-            temporary.write_text(page, encoding="utf-8")
+        write_text(claim_file(self.out, force=self.force), replay_page(shown))
         for episode in episodes.values():
             print(f"{episode.source}: {result(episode)}; replayed exactly")
         print(f"written to {self.out}")
@@ -123,7 +119,6 @@ class _Window(Subject):
         from baselines.evaluation.window import watch
         from baselines.policies.load import find_policy, of_zoo
         from mbn_marl.episode import save_episode
-        from mbn_marl.files import check_ending, check_free, claim_file
 
         how: dict[str, Any] = {"seed": self.seed, "alone": of_zoo, **self.asked}
         actor = find_policy(self.source, self.field, **how)
