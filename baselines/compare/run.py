@@ -44,7 +44,7 @@ def train_all_runs(
     problems: list[str] = []
     for run in {(run.shown_as, run.field): run for run in runs}.values():  # whatever the seed
         with collecting(problems):
-            find_algorithm(run.algorithm).check(*prepare(run))
+            find_algorithm(run.algorithm).trainer.check(*prepare(run))
     if problems:
         raise ConfigError("comparison", problems)
     if not resume:

@@ -51,7 +51,7 @@ def train(
     if resume := resume and not (out.is_dir() and is_untouched(out)):
         RunFolder.open(out)
     else:
-        algorithm.check(task, hyperparameters)
+        algorithm.trainer.check(task, hyperparameters)
         claim_folder(out, force=force)
     with _running(RunFolder(out)), alone(out, "mbn train"):
         begin = RunFolder.resume if resume else RunFolder.create
@@ -65,7 +65,7 @@ def train(
                     steps = -(-steps // (len(seeds) - recorder.learner))
                     part = replace(task, config=replace(config, steps=steps, seed=seed))
                     recorder.begin(part)
-                    algorithm.train(part, hyperparameters, recorder)
+                    algorithm.trainer.train(part, hyperparameters, recorder)
                 recorder.conclude()
             except ValueError as error:
                 if isinstance(error, MbnError) and not isinstance(error, ActionError):
@@ -88,7 +88,7 @@ def notes(config: TrainConfig) -> list[str]:
     ]
     count = len(seeds_of(config, hyperparameters))
     part = replace(task, config=replace(config, steps=-(-steps // count)))
-    budget = find_algorithm(name).budget(part, hyperparameters)
+    budget = find_algorithm(name).trainer.budget(part, hyperparameters)
     if (whole := budget.env_steps * count) > steps:
         bound = "" if budget.exact and count == 1 else "up to "
         lines.append(

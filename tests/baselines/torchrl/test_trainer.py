@@ -386,7 +386,7 @@ def test_what_does_not_go_together_is_refused(
         algorithm, field, setting, hyperparameters=changes, transferred_from=source
     )
     with pytest.raises(ConfigError) as caught:
-        find_algorithm(config.algorithm).check(*prepare(config))
+        find_algorithm(config.algorithm).trainer.check(*prepare(config))
     assert [problem.partition(":")[0] for problem in caught.value.problems] == named
 
 
