@@ -68,15 +68,11 @@ class Benchmark(Writes):
     out: OptionalOutput = None
     """The folder to write; by default runs/bench-SUBJECT."""
 
-    @property
-    def folder(self) -> Path:
-        return self.out or Path(f"runs/bench-{self.name}")
-
     def measure(self) -> Findings:
         raise NotImplementedError
 
     def run(self, command: str) -> bool:
-        folder = claim_folder(self.folder, force=self.force)
+        folder = claim_folder(self.out or Path(f"runs/bench-{self.name}"), force=self.force)
         began = perf_counter()
         found = self.measure()
         seconds = perf_counter() - began

@@ -2,16 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 from tyro.conf import Positional
 
 from baselines.cli.compare import WRITTEN, train_and_compare
-from baselines.cli.options import CORES
+from baselines.cli.options import CORES, OptionalOutput, Writes
 from baselines.compare.variants import CompareConfig, labelled
 from baselines.training.config import read_yaml, validate
-from benchmarks.report import Benchmark
 from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import catalogue_names
 
@@ -33,10 +32,8 @@ class Plan(BaseModel):
 
 
 @dataclass(frozen=True)
-class Study(Benchmark):
+class Study(Writes):
     """Train and compare the variants of a study, a YAML file in benchmarks/studies."""
-
-    name: ClassVar[str] = "study"
 
     study: Positional[str] = "forms"
     """The name of the file: forms, learning, aids and others."""
@@ -50,10 +47,8 @@ class Study(Benchmark):
     """Runs at a time, each on one core."""
     resume: bool = False
     """Resume what is in the folder, as `mbn compare` does."""
-
-    @property
-    def folder(self) -> Path:
-        return self.out or Path(f"runs/bench-{self.study}")
+    out: OptionalOutput = None
+    """The folder to write; by default runs/bench-STUDY."""
 
     def config(self) -> CompareConfig:
         if self.study not in STUDIES:
@@ -72,6 +67,7 @@ class Study(Benchmark):
 
     def run(self, command: str) -> bool:
         options = {name: getattr(self, name) for name in ("processes", "force", "resume")}
-        train_and_compare(self.config(), self.folder, command=command, **options)
-        print(f"written to {self.folder}: {WRITTEN}")
+        out = self.out or Path(f"runs/bench-{self.study}")
+        train_and_compare(self.config(), out, command=command, **options)
+        print(f"written to {out}: {WRITTEN}")
         return True
