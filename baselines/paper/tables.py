@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import pandas
 from pandas import DataFrame, MultiIndex, Series
 from scipy.stats import kendalltau
 
-from baselines.compare.text_table import DASH, TextTable, csv_text
+from baselines.compare.text_table import DASH, TextTable
 from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published
 from baselines.paper.published import STATISTICS
@@ -137,11 +136,6 @@ def paper_tables(trainings: Trainings) -> list[PaperTable]:
     names = (trainings.algorithms, trainings.field_names)
     chosen = [*zip(KINDS, names, papers, strict=True)]
     return [PaperTable.of(kind, sample, *part) for kind, *part in chosen for sample in SAMPLES]
-
-
-def write_csv(tables: Iterable[PaperTable]) -> str:
-    lines = pandas.concat([table.lines() for table in tables]).drop_duplicates()
-    return csv_text(lines, "%.10g")
 
 
 def coverage(trainings: Trainings) -> TextTable:
