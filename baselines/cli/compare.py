@@ -144,21 +144,14 @@ class Benchmark(Writes):
     def run(self, command_line: str) -> None:
         from rich.progress import Progress
 
-        from baselines.compare.benchmark import (
-            PAGE,
-            load_protocol,
-            load_tiers,
-            result_page,
-            result_tables,
-            run_benchmark,
-        )
+        from baselines.compare import benchmark
         from baselines.policies.load import check_known
         from baselines.policies.shielded import behind
 
         wrong = {"force and resume: allowed is one of them": self.force and self.resume}
         check_options("benchmark", wrong)
         check_known(self.source)
-        tiers = load_tiers(self.split, self.tiers or load_protocol().tiers)
+        tiers = benchmark.load_tiers(self.split, self.tiers or benchmark.load_protocol().tiers)
         policy = f"{self.source}{behind(self.shield)}"
         name = re.sub(r"[^\w.-]+", "-", policy).strip("-")
         out = self.out or Path(f"runs/benchmark-{name}-{self.split}")
@@ -170,12 +163,12 @@ class Benchmark(Writes):
             how: dict[str, Any] = {"command": command_line, "shield": self.shield}
             how |= {"resume": self.resume, "advance": partial(progress.advance, task)}
             try:
-                record = run_benchmark(self.source, self.split, tiers, out, **how)
+                record = benchmark.run_benchmark(self.source, self.split, tiers, out, **how)
             except KeyboardInterrupt:
                 problem = f"{out} has the tiers that are done; continue with --resume"
                 raise KeyboardInterrupt(problem) from None
-        write_text(out / PAGE, result_page(record, out))
-        for title, table in result_tables(record).items():
+        write_text(out / benchmark.PAGE, benchmark.result_page(record, out))
+        for title, table in benchmark.result_tables(record).items():
             table.print(f"{policy} on {self.split}: {title}")
         print(f"written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
 

@@ -40,18 +40,13 @@ class Evaluate(Subject):
     """Let robots do only what they could brake after, whatever the policy wants."""
 
     def run(self, command_line: str) -> None:
-        from baselines.evaluation.evaluate import (
-            EVALUATION_SEED,
-            evaluate_both,
-            extremes,
-            is_one_episode,
-        )
+        from baselines.evaluation import evaluate
         from baselines.policies.load import find_policy, is_trained, open_run
         from baselines.policies.shielded import Shielded, behind
         from mbn_marl.engine.validation import reset_problems
         from mbn_marl.episode import save_episode
 
-        seed = EVALUATION_SEED if self.seed is None else self.seed
+        seed = evaluate.EVALUATION_SEED if self.seed is None else self.seed
         wrong = {f"episodes: at least 1, not {self.episodes}": self.episodes < 1}
         check_options("evaluation", wrong | dict.fromkeys(reset_problems(seed, 0), True))
         actor = find_policy(self.source, self.field, seed=seed, **self.asked)
@@ -68,8 +63,8 @@ class Evaluate(Subject):
         if self.record is not None:
             drawn = ", sampled actions" if policy.draws(deterministic=False) else ""
             how |= {"record": range(self.episodes), "source": title + drawn}
-        results = evaluate_both(*where, **how)
-        one = partial(is_one_episode, policy, actor.settings)
+        results = evaluate.evaluate_both(*where, **how)
+        one = partial(evaluate.is_one_episode, policy, actor.settings)
         summaries = {name: result.summary() for name, result in results.items()}
         print_evaluations(summaries.values(), title, one)
         if self.json is not None:
@@ -78,7 +73,7 @@ class Evaluate(Subject):
             episodes = {name: result.to_json() for name, result in results.items()}
             write_json(claim_file(self.json, force=self.force), {**heading, **episodes})
         if self.record is not None:
-            recorded = extremes(results["stochastic"])
+            recorded = evaluate.extremes(results["stochastic"])
             for name, episode in recorded.items():
                 named = replace(episode, source=f"{episode.source}, {name}")
                 save_episode(named, self.record / f"{name}.json")
