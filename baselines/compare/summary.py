@@ -104,9 +104,6 @@ class Comparison:
     fields_without_bound: Sequence[str]  # the aggregates leave them out
     broken_runs: Mapping[str, str]  # the error of each that diverged; its label is left out
 
-    def to_json(self) -> dict[str, Any]:
-        return dict(vars(self))
-
 
 def summarise(results: Results) -> Comparison:
     bounded = results.on(results.bounded)
