@@ -274,13 +274,12 @@ def check_settings(
     """
     seen = {"observation": "entities", **fixed} if fixed else {}
     ours, theirs = make_config({"condition": condition, **seen}), make_config(settings)
-    problems = [
+    if problems := [
         f"{name}: {getattr(theirs, name)!r}; allowed: {getattr(ours, name)!r}"
         for name in NavigationConfig.model_fields
         if name not in ("n_robots", *protocol.settings)
         and getattr(ours, name) != getattr(theirs, name)
-    ]
-    if problems:
+    ]:
         raise SettingsError("settings of the policy, which change the task", problems)
 
 

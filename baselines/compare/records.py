@@ -208,10 +208,8 @@ def find_records(
             note(f"left out: {run.path}, trained on random fields")
     records, problems = list[RunRecord](), list[str]()
     for run in some or runs:
-        try:
+        with collecting(problems):
             records.append(RunRecord.read(run, finished=finished))
-        except RunError as error:
-            problems.append(str(error))
     if problems:
         raise RunError("\n".join(problems))
     return records

@@ -67,10 +67,8 @@ def read_variants(path: Path) -> tuple[Variant, ...]:
 def labelled(blocks: Mapping[str, Any], place: str) -> tuple[Variant, ...]:
     found, problems = list[Variant](), list[str]()
     for label, block in blocks.items():
-        try:
-            found.append(validate(Variant, {**block, "label": str(label)}, place))
-        except ConfigError as error:
-            problems += [f"{label}: {problem}" for problem in error.problems]
+        with collecting(problems):
+            found.append(validate(Variant, {**block, "label": str(label)}, str(label)))
     if problems:
         raise ConfigError(place, problems)
     return tuple(found)

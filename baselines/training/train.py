@@ -215,12 +215,11 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
             if theirs.get(name) == none:
                 asked.pop(name, None)
     compared |= {f"hyperparameters.{name}": (theirs.get(name), asked[name]) for name in asked}
-    problems = [
+    if problems := [
         f"{name}: the policy's run has {theirs}, this run {ours}"
         for name, (theirs, ours) in compared.items()
         if theirs != ours
-    ]
-    if problems:
+    ]:
         raise ConfigError(f"from: {source.path}", problems)
 
 
