@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import OptionalOutput, Writes, check_options
-from baselines.console import console
+from baselines.compare.text_table import TextTable, shown
 from baselines.runs.files import claim_folder, read_json, write_arrays, write_json
 from mbn_marl.config import Condition, Observation, make_config
 from mbn_marl.errors import ConfigError, FieldError, MbnError
@@ -133,18 +133,17 @@ def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> lis
 
 
 def print_plan(found: FoundPlan) -> None:
-    from rich.table import Table
-
-    table = Table(title=f"plan of {found.field.name}", show_header=False)
     none = found.makespan is None
-    table.add_row("makespan", "none was found" if none else f"{found.makespan} steps")
-    table.add_row("proved lower bound", f"{found.makespan_lower_bound} steps")
-    table.add_row("optimal", "yes, proved" if found.optimal else "not proved")
-    table.add_row("return", "-" if found.return_ is None else f"{found.return_:,.0f}")
+    lines = [
+        ("makespan", "none was found" if none else f"{found.makespan} steps"),
+        ("proved lower bound", f"{found.makespan_lower_bound} steps"),
+        ("optimal", "yes, proved" if found.optimal else "not proved"),
+        ("return", shown(found.return_)),
+    ]
     for robot, rois in enumerate(found.assignment):
-        table.add_row(f"robot_{robot} visits", ", ".join(f"w{roi + 1}" for roi in rois) or "-")
-    table.add_row("took", f"{found.seconds:.2f} s")
-    console().print(table)
+        lines.append((f"robot_{robot} visits", ", ".join(f"w{roi + 1}" for roi in rois) or "-"))
+    lines.append(("took", f"{found.seconds:.2f} s"))
+    TextTable("", (f"plan of {found.field.name}", ""), lines, words=2).print()
 
 
 @dataclass(frozen=True)
