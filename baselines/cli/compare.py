@@ -181,7 +181,6 @@ class Runs:
     """Run folders, or folders that hold some."""
 
     def run(self, command_line: str) -> None:
-
         lines = [line_of(path) for path in run_folders(self.folders, comparisons=True)]
         headings = ("run", "algorithm", "field", "seed", "state", "success", "makespan")
         caption = "sampled actions in the final evaluation, or the last one so far"
@@ -189,7 +188,6 @@ class Runs:
 
 
 def line_of(path: Path) -> tuple[str, ...]:
-
     here = Path.cwd()
     name = str(path.relative_to(here) if path.is_relative_to(here) else path)
     try:

@@ -205,7 +205,6 @@ def parse_speeds(text: str) -> list[float]:
 
 
 def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-
     caption = (
         "ratio: to the plane's makespan; apart: least distance of robots, units;\n"
         "error: of tracking, units a step; speed: times real time on one core"

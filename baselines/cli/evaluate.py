@@ -95,7 +95,6 @@ def print_evaluations(
 
 
 def _cells(summary: Mapping[str, Any]) -> Iterator[str]:
-
     yield "mean" if summary["deterministic"] else "sampled"
     for name, form in NUMBERS.values():
         yield shown(summary[name], form)
@@ -125,7 +124,6 @@ class Zoo(Writes):
 
 
 def print_cards(cards: Iterable[Mapping[str, Any]]) -> None:
-
     lines = [
         (f"zoo:{card['name']}", card["information"], *_cells(card[kind]), f"{card['env_steps']:,}")
         for card in cards

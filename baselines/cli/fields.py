@@ -43,7 +43,6 @@ class Fields(Writes):
     """Draw them in this file (.png, .pdf or .svg), side by side."""
 
     def run(self, command_line: str) -> None:
-
         self._check()
         fields, problems = self._made(), list[str]()
         for name in self.fields or (() if fields else catalogue_names()):
@@ -54,7 +53,12 @@ class Fields(Writes):
         self._print(fields)
         if self.out is not None:
             random = [self.out / f"{field.name}.yaml" for field in fields]
-            self._write(fields, random if self.map is None else [self.out])
+            paths = random if self.map is None else [self.out]
+            for path in paths:
+                check_free(path, force=self.force)
+            for field, path in zip(fields, paths, strict=True):
+                save_field(field, claim_file(path, force=self.force))
+            print(f"{len(paths)} written to {self.out}")
         if self.figure is not None:
             from mbn_marl.render import figures
 
@@ -91,7 +95,6 @@ class Fields(Writes):
             check_free(figures.check_name(self.figure), force=self.force)
 
     def _made(self) -> list[Field]:
-
         counts: dict[str, Any] = {"robots": self.robots, "rois": self.rois}
         if self.map is not None:
             scale = self.metres_per_unit
@@ -105,7 +108,6 @@ class Fields(Writes):
         ]
 
     def _print(self, fields: Sequence[Field]) -> None:
-
         lines = [
             (
                 field.name,
@@ -119,12 +121,3 @@ class Fields(Writes):
         headings = ("field", "robots", "ROIs", "holes", "edges", "area", "makespan", "return")
         title = "fields (makespan, return: proved optima, released rewards, no wind)"
         TextTable("", headings, lines).print(title)
-
-    def _write(self, fields: Sequence[Field], paths: Sequence[Path]) -> None:
-
-        for path in paths:
-            check_free(path, force=self.force)
-        for field, path in zip(fields, paths, strict=True):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            save_field(field, claim_file(path, force=self.force))
-        print(f"{len(paths)} written to {self.out}")

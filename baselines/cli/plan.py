@@ -76,7 +76,6 @@ class Plan(Writes):
         self._keep_optimum(found, changed)
 
     def _keep_optimum(self, found: FoundPlan, changed: bool) -> None:
-
         path, line = Path(self.field), f"optimal_makespan: {found.makespan}"
         if self.write and not found.optimal:
             raise MbnError(f"{path} is left as it is, since this plan is not proved optimal")
@@ -88,7 +87,6 @@ class Plan(Writes):
 
 
 def proved_makespan(folder: Path, field: Field, settings: Mapping[str, Any]) -> int | None:
-
     path = folder / "plan.json"
     found = read_json(path) if path.is_file() else None
     wanted = {"field": field.to_dict(), "settings": settings, "optimal": True}
