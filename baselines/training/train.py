@@ -12,7 +12,7 @@ import numpy as np
 from baselines.algorithms import find_algorithm
 from baselines.policies.load import CARD, PREFIX, open_run
 from baselines.policies.policy import acts_on
-from baselines.runs.files import RunError, alone, check_text, claim_folder, is_untouched
+from baselines.runs.files import RunError, alone, claim_folder, is_untouched
 from baselines.runs.folder import RunFolder
 from baselines.training.config import DivergenceError, Hyperparameters, Task, TrainConfig
 from baselines.training.run_logger import LEAST_STEPS, Listener, Recorder, find_wandb
@@ -47,7 +47,6 @@ def train(
         find_wandb()
     algorithm, (task, hyperparameters) = find_algorithm(config.algorithm), prepare(config)
     command = command or config.command
-    check_text(command)
     if resume := resume and not (out.is_dir() and is_untouched(out)):
         RunFolder.open(out)
     else:
