@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeVar
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,6 @@ BOTH = (*METRICS, *(f"deterministic_{name}" for name in METRICS))
 """The numbers of an evaluation: with sampled actions, and with mean ones."""
 LEARNER = ("algorithm", "setting", "environment", "hyperparameters")
 """Settings that must be the same in all runs of one label."""
-Content = TypeVar("Content", bound=BaseModel)
 Count = Annotated[WholeNumber, Range(ge=0, le=MOST)]
 Number = Annotated[RealNumber, Range(ge=-MOST, le=MOST)]
 Positive = Annotated[RealNumber, Range(ge=0, le=MOST)]
@@ -180,9 +179,9 @@ def _frozen(tier: str) -> list[str]:
     return [*dict.fromkeys(one.field.name for one in load_split("test", tier))]
 
 
-def validate(model: type[Content], content: Any, path: Path, place: str = "") -> Content:
+def validate(model: type[BaseModel], content: Any, path: Path, place: str = "") -> None:
     try:
-        return model.model_validate(content)
+        model.model_validate(content)
     except ValidationError as error:
         problems = "; ".join(place + problem for problem in describe(error, model))
         raise RunError(f"{path} is not valid: {problems}") from None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from pydantic_core import to_jsonable_python
 from tyro.conf import arg
 from tyro.constructors import PrimitiveConstructorSpec
@@ -18,10 +18,8 @@ from mbn_marl.errors import ConfigError, FieldError, collecting
 from mbn_marl.field import FieldSampler, load_fields
 
 
-class Variant(BaseModel):
+class Variant(BaseModel, frozen=True, extra="forbid"):
     """A way to train; hyperparameters and environment are what differs from the recorded ones."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     algorithm: str
     # C begins with another run: nothing to compare.

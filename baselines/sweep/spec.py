@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
 from baselines.algorithms import Setting, find_algorithm
 from baselines.training import config
@@ -42,23 +42,19 @@ Algorithm = Annotated[str, _known(find_algorithm)]
 FieldName = Annotated[str, _known(load_field)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Budget(_Strict):
+class Budget(BaseModel, frozen=True, extra="forbid"):
     steps: Count | None = None
     evaluate_every: Count = 32_768
     episodes: Count = 100
 
 
-class Resources(_Strict):
+class Resources(BaseModel, frozen=True, extra="forbid"):
     cpus: Positive = 1.0
     gpus: NonNegative = 0.0
     retries: Annotated[int, Field(ge=0)] = 3
 
 
-class GridSpec(_Strict):
+class GridSpec(BaseModel, frozen=True, extra="forbid"):
     """The values of a grid's file; docs/grid.md explains the keys."""
 
     store: Annotated[Path, AfterValidator(_folder)]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 from tyro.conf import Positional
 
 from baselines.cli.compare import WRITTEN, train_and_compare
@@ -18,10 +18,8 @@ STUDIES = sorted(path.stem for path in Path(__file__).parent.glob("*.yaml"))
 STEPS = 1_441_792  # env-steps of a run
 
 
-class Plan(BaseModel):
+class Plan(BaseModel, frozen=True, extra="forbid"):
     """A study, as its YAML file in this folder has it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     fields: tuple[str, ...] = tuple(catalogue_names())
     tier: str | None = None  # of random fields
