@@ -1,7 +1,5 @@
 """``mbn plan``: the proved optimum of a field; ``mbn warmup``: the engine, compiled."""
 
-from __future__ import annotations
-
 import json
 import re
 import time
@@ -75,7 +73,7 @@ class Plan(Writes):
         print(f"written to {folder}: {', '.join(names)}")
         self._keep_optimum(found, changed)
 
-    def _keep_optimum(self, found: FoundPlan, changed: bool) -> None:
+    def _keep_optimum(self, found: "FoundPlan", changed: bool) -> None:
         path, line = Path(self.field), f"optimal_makespan: {found.makespan}"
         if self.write and not found.optimal:
             raise MbnError(f"{path} is left as it is, since this plan is not proved optimal")
@@ -117,7 +115,7 @@ def write_optimum(path: Path, makespan: int | None) -> None:
         raise ConfigError(str(path), [problem]) from None
 
 
-def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> list[str]:
+def _write_plan(found: "FoundPlan", folder: Path, settings: dict[str, Any]) -> list[str]:
     from baselines.evaluation.rollout import write_episode
     from mbn_marl.episode import play
 
@@ -130,7 +128,7 @@ def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> lis
     return ["plan.npz", "plan.png", "episode.json"]
 
 
-def print_plan(found: FoundPlan) -> None:
+def print_plan(found: "FoundPlan") -> None:
     none = found.makespan is None
     lines = [
         ("makespan", "none was found" if none else f"{found.makespan} steps"),

@@ -1,7 +1,5 @@
 """``mbn render``, ``replay``, ``watch`` and ``play``: episodes, drawn and recorded."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -43,7 +41,7 @@ class Render(Subject):
         print(result(episode))
         print(f"written to {self.out}")
 
-    def _episode(self) -> Episode:
+    def _episode(self) -> "Episode":
         from baselines.evaluation.rollout import record_episode
         from baselines.policies.load import RANDOM, find_policy
         from mbn_marl.episode import check_episode, is_episode_file, load_episode
@@ -71,7 +69,7 @@ class Render(Subject):
         )
 
 
-def result(episode: Episode) -> str:
+def result(episode: "Episode") -> str:
     return f"{episode.outcome}, {episode.steps} steps, return {episode.team_return:,.0f}"
 
 

@@ -180,11 +180,8 @@ def _pairs(results: Results, labels: Sequence[str]) -> list[Numbers]:
         {
             **{"better": better, "worse": worse},
             **_named("difference", difference(*both)),
-            **{
-                "p": p_value,
-                "p_holm": corrected,
-                "detectable": detectable(both[0], both[1], len(p_values)),
-            },
+            **{"p": p_value, "p_holm": corrected},
+            "detectable": detectable(both[0], both[1], len(p_values)),
         }
         for (better, worse), both, p_value, corrected in zip(
             pairs, scores, p_values, holm(p_values), strict=True
