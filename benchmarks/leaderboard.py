@@ -97,7 +97,6 @@ def _row_name(name: str, record: Mapping[str, Any]) -> str:
 
 
 def _problems(record: Any, frozen: Mapping[str, tuple[Instance, ...]]) -> Iterator[str]:
-    """Yield what is wrong with a result."""
     if not isinstance(record, dict) or not isinstance(record.get("tiers"), dict):
         yield "is no result of mbn benchmark"
         return

@@ -76,8 +76,6 @@ class Final(BaseModel):
 
 @dataclass(frozen=True)
 class RunRecord:
-    """A run's folder, configuration and fields."""
-
     run: RunFolder
     config: Mapping[str, Any]
     fields: Field | FieldSampler
