@@ -158,7 +158,9 @@ def default_label(algorithm: str, setting: str) -> str:
     return algorithm if setting == "N" else f"{algorithm}-{setting}"
 
 
-class Hyperparameters(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
+class Hyperparameters(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
     # The origin of the numbers.
     source: str = pydantic.Field("", repr=False)
     # The algorithm's own settings of the environment.
