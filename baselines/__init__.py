@@ -1,7 +1,5 @@
 """Training, evaluation and comparison of centralised and decentralised baselines."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +11,8 @@ __all__ = ["load_policy"]
 
 
 def load_policy(
-    source: str | Path, field: str | Path | Field | None = None, *, seed: int = 0, **settings: Any
-) -> LoadedPolicy:
+    source: str | Path, field: "str | Path | Field | None" = None, *, seed: int = 0, **settings: Any
+) -> "LoadedPolicy":
     """Load a policy that is ready to act, with the settings of the environment that it wants.
 
     Args:

@@ -1,7 +1,5 @@
 """The registry of algorithms; their libraries are imported when they are used."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -53,15 +51,10 @@ class Algorithm:
         # the setting in the YAML ``file`` the recorded block.
         return self._module("config").load(self.name, setting, overrides, **options)
 
-    def check(self, task: Any, hyperparameters: Any) -> None:
-        """Raise a ConfigError if no learner can be made with the hyperparameters."""
-        self._module("trainer").check(task, hyperparameters)
-
-    def budget(self, task: Any, hyperparameters: Any) -> Any:
-        return self._module("trainer").budget(task, hyperparameters)
-
-    def train(self, task: Any, hyperparameters: Any, recorder: Any) -> None:
-        self._module("trainer").train(task, hyperparameters, recorder)
+    @property
+    def trainer(self) -> Any:
+        """The module whose ``check``, ``budget`` and ``train`` take a task and hyperparameters."""
+        return self._module("trainer")
 
     def load_policy(self, folder: Path) -> Any:
         return self._module("policy").load_policy(folder)

@@ -1,7 +1,5 @@
 """The console that every command prints on."""
 
-from __future__ import annotations
-
 import os
 import sys
 

@@ -1,7 +1,5 @@
 """``python -m benchmarks SUBJECT``: the measurements and studies of the pages of results."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from collections.abc import Sequence

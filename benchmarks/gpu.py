@@ -1,7 +1,5 @@
 """The speed of ``BatchEngine(device="cuda")``, once it equals the CPU bit for bit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -38,7 +36,7 @@ class Gpu(Benchmark):
 
     def measure(self) -> Findings:
         check_against_the_cpu(self)
-        copy, facts = copy_rate(), kernel_facts(self)
+        copy = copy_rate()
         sizes: list[dict[str, float]] = []
         note = f"all sizes up to {2**self.most} worlds fit into the device's memory"
         for power in range(self.least, self.most + 1):
@@ -54,7 +52,6 @@ class Gpu(Benchmark):
             Measurement("steps of a CUDA graph", best / 1e6, "M env-steps/s", TARGET_RATE),
             Measurement("necessary bytes, of a copy's rate", ratio, "", TARGET_RATIO),
             Measurement("copy, read and written", copy / 1e9, "GB/s"),
-            *(Measurement(name.replace("_", " "), value, "") for name, value in facts.items()),
         ]
         device = torch.cuda.get_device_name()
         equal = f"equal to the CPU over {self.check_steps} steps of {2**self.least} worlds"
@@ -150,19 +147,4 @@ def measure(options: Gpu, worlds: int, copy: float) -> dict[str, float]:
         "graph_rate": rate,
         "gigabytes_per_second": moved / 1e9,
         "ratio_to_copy": moved / copy,
-    }
-
-
-def kernel_facts(options: Gpu) -> dict[str, int]:
-    from mbn_marl.engine import cuda_kernels as kernels
-
-    engine = BatchEngine(options.field, 2, device="cuda")
-    dispatcher = kernels.step_kernel(engine.n_robots, engine.obs_size, engine.config.dtype)
-    kernel = next(iter(dispatcher.overloads.values()))
-    return {
-        "registers_per_thread": kernel.regs_per_thread,
-        "local_bytes_per_thread": kernel.local_mem_per_thread,
-        "shared_bytes_per_block": kernel.shared_mem_per_block,
-        "threads_per_block": kernels.threads_per_block(engine.obs_size),
-        "bytes_per_env_step": necessary_bytes(engine),
     }

@@ -1,26 +1,15 @@
 """The leaderboard: a page made of the results that are committed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baselines.compare.benchmark import (
-    ALL,
-    CAPTION,
-    WAYS,
-    cells,
-    load_protocol,
-    load_tiers,
-    rank,
-    summaries,
-)
-from baselines.compare.benchmark import COLUMNS as COLUMNS_OF_RESULTS
+from baselines.compare import benchmark
+from baselines.compare.benchmark import ALL, WAYS, cells, rank
 from baselines.compare.text_table import TextTable
 from baselines.policies.shielded import behind
-from baselines.runs.files import read_json, write_text
+from baselines.runs.files import differences, read_json, write_text
 from mbn_marl.errors import ConfigError, collecting
 from mbn_marl.field import Instance
 
@@ -56,7 +45,7 @@ class Leaderboard:
 
 def leaderboard(folder: Path) -> str:
     """Return the page; a ConfigError names results that are damaged, or not of the whole split."""
-    protocol = load_protocol()
+    protocol = benchmark.load_protocol()
     if not (paths := sorted(folder.glob("*.json"))):
         raise ConfigError("leaderboard", [f"folder: {folder} has no result"])
     problems: list[str] = []
@@ -64,7 +53,7 @@ def leaderboard(folder: Path) -> str:
     for path in paths:
         with collecting(problems):
             results[path.stem] = read_json(path)
-    frozen = load_tiers(SPLIT, protocol.tiers)
+    frozen = benchmark.load_tiers(SPLIT, protocol.tiers)
     problems += [
         f"{name}.json: {problem}"
         for name, record in results.items()
@@ -73,8 +62,8 @@ def leaderboard(folder: Path) -> str:
     if problems:
         raise ConfigError(str(folder), problems)
     results = {_row_name(name, record): record for name, record in results.items()}
-    parts = [INTRODUCTION.format(version=protocol.version), CAPTION, ""]
-    found = {name: summaries(record["tiers"]) for name, record in results.items()}
+    parts = [INTRODUCTION.format(version=protocol.version), benchmark.CAPTION, ""]
+    found = {name: benchmark.summaries(record["tiers"]) for name, record in results.items()}
     for tier in (ALL, *protocol.tiers):
         table = _table(found, tier)
         parts += [table.markdown("All tiers" if tier == ALL else tier), ""] if table.lines else []
@@ -98,7 +87,7 @@ def _table(found: Mapping[str, Mapping[str, Any]], tier: str) -> TextTable:
     if tier != ALL:
         misfits = (name for name, tiers in found.items() if tier not in tiers)
         lines += [(name, "does not fit", "-", *cells({}, "mean", COLUMNS)) for name in misfits]
-    headings = (COLUMNS_OF_RESULTS[column][0] for column in COLUMNS)
+    headings = (benchmark.COLUMNS[column][0] for column in COLUMNS)
     return TextTable("", (*WHO, *headings), lines, words=3)
 
 
@@ -108,15 +97,12 @@ def _row_name(name: str, record: Mapping[str, Any]) -> str:
 
 
 def _problems(record: Any, frozen: Mapping[str, tuple[Instance, ...]]) -> Iterator[str]:
-    """Yield what is wrong with a result."""
     if not isinstance(record, dict) or not isinstance(record.get("tiers"), dict):
         yield "is no result of mbn benchmark"
         return
-    protocol, tiers = load_protocol(), record["tiers"]
+    protocol, tiers = benchmark.load_protocol(), record["tiers"]
     ours = {"protocol": protocol.version, "splits": protocol.splits, "split": SPLIT}
-    for name, value in ours.items():
-        if record.get(name) != value:
-            yield f"{name}: {record.get(name)!r}; needed: {value!r}"
+    yield from differences(record, ours)
     if not isinstance(record.get("command"), str):
         yield "command: missing"
     names = ("condition", "makespan_lower_bound")

@@ -1,7 +1,5 @@
 """Run a benchmark, print its tables, and write its figures as JSON into a folder."""
 
-from __future__ import annotations
-
 import math
 import os
 import platform
@@ -70,15 +68,11 @@ class Benchmark(Writes):
     out: OptionalOutput = None
     """The folder to write; by default runs/bench-SUBJECT."""
 
-    @property
-    def folder(self) -> Path:
-        return self.out or Path(f"runs/bench-{self.name}")
-
     def measure(self) -> Findings:
         raise NotImplementedError
 
     def run(self, command: str) -> bool:
-        folder = claim_folder(self.folder, force=self.force)
+        folder = claim_folder(self.out or Path(f"runs/bench-{self.name}"), force=self.force)
         began = perf_counter()
         found = self.measure()
         seconds = perf_counter() - began

@@ -5,8 +5,6 @@ turns that followed each other count. VMAS and MPE2 do not reset during the timi
 their advantage.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

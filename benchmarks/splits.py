@@ -1,7 +1,5 @@
 """The frozen fields of a benchmark: made, planned for, proved, written down; and verified."""
 
-from __future__ import annotations
-
 import hashlib
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,24 +15,9 @@ from baselines.runs.files import read_arrays, read_json, versions, write_arrays,
 from mbn_marl.config import make_config
 from mbn_marl.episode import play
 from mbn_marl.errors import ConfigError, EpisodeError, FieldError, unknown
-from mbn_marl.field import Field, FieldSampler
+from mbn_marl.field import Field, FieldSampler, splits
 from mbn_marl.field.generator.passages import Passages
-from mbn_marl.field.splits import (
-    CONDITIONS,
-    DECOYS,
-    FIELDS,
-    NAMES,
-    PASSAGES,
-    SEARCH,
-    SETTINGS,
-    VERSION,
-    WEATHER,
-    Split,
-    geometry_hash,
-    make_sampler,
-    sampler_of,
-    search_settings,
-)
+from mbn_marl.field.splits import FIELDS, PASSAGES, SEARCH, VERSION, WEATHER, Split
 from mbn_marl.planning import UnsolvableError, plan
 from mbn_marl.planning.planner import WORK_LIMIT
 
@@ -47,7 +30,7 @@ COUPLED = 1.2
 class Splits:
     """Make the frozen fields of the tiers, with proved bounds, or verify them."""
 
-    tier: tuple[str, ...] = NAMES
+    tier: tuple[str, ...] = splits.NAMES
     """The tiers."""
     split: tuple[Split, ...] = ("validation", "test")
     """The splits."""
@@ -61,8 +44,8 @@ class Splits:
     """The folder with a file for each split and tier."""
 
     def run(self, command: str) -> bool:
-        others = [tier for tier in self.tier if tier not in NAMES]
-        wrong = [f"tier: {tier!r}: {unknown('tier', tier, NAMES)}" for tier in others]
+        others = [tier for tier in self.tier if tier not in splits.NAMES]
+        wrong = [f"tier: {tier!r}: {unknown('tier', tier, splits.NAMES)}" for tier in others]
         wrong += [f"count: at least 1, not {self.count}"] * (self.count < 1)
         wrong += [f"seconds: more than 0, not {self.seconds:g}"] * (not self.seconds > 0.0)
         if wrong:
@@ -106,7 +89,7 @@ class Splits:
         while len(record["instances"]) < self.count:
             number, began = record["candidates"], time.process_time()
             known = {one["geometry"]: one["candidate"] for one in record["instances"]}
-            found = self._try(make_sampler(split, tier), tier, number, known)
+            found = self._try(splits.make_sampler(split, tier), tier, number, known)
             if isinstance(found, str):
                 record["rejected"].append({"candidate": number, "reason": found})
             else:
@@ -122,7 +105,7 @@ class Splits:
     ) -> str | tuple[dict[str, Any], NDArray[np.float32]]:
         try:
             field = sampler.field(number)
-            geometry = geometry_hash(field)
+            geometry = splits.geometry_hash(field)
             if geometry in known:
                 return f"the same as candidate {known[geometry]}"
             searched = drawn_empty(sampler, number) if tier == SEARCH else {}
@@ -164,7 +147,7 @@ class Splits:
         yield from (f"{name}: is another" for name in begun if record.get(name) != begun[name])
         if len({one["geometry"] for one in instances}) < len(instances):
             yield "geometry: two instances have the same"
-        sampler, plans = make_sampler(split, tier), read_arrays(path.with_suffix(".npz"))
+        sampler, plans = splits.make_sampler(split, tier), read_arrays(path.with_suffix(".npz"))
         for k in np.unique(np.linspace(0, len(instances) - 1, self.count).astype(int)):
             one = instances[k]
             actions = plans[str(one["candidate"])].astype(np.float32)
@@ -175,19 +158,19 @@ class Splits:
 
 
 def definition(split: Split, tier: str) -> dict[str, Any]:
-    sampler = sampler_of(split, tier)
+    sampler = splits.sampler_of(split, tier)
     return {"version": VERSION, "split": split, "tier": tier, "sampler": sampler}
 
 
 def drawn_empty(sampler: FieldSampler | Passages, number: int) -> dict[str, list[int]]:
     """Return which ROIs of a candidate are empty; NumPy draws them by its seed and number."""
     rois, random = FIELDS[SEARCH]["rois"], np.random.default_rng([sampler.seed, number])
-    return {"empty": sorted(random.choice(rois, DECOYS, replace=False).tolist())}
+    return {"empty": sorted(random.choice(rois, splits.DECOYS, replace=False).tolist())}
 
 
 def weather(folder: Path, split: Split, count: int) -> dict[str, Any]:
     """Return the tier under conditions; a ConfigError names files with too few instances."""
-    sources = NAMES[:3]
+    sources = splits.NAMES[:3]
     paths = [folder / f"{split}-{tier}.json" for tier in sources]
     known = [read_json(path)["instances"] if path.exists() else [] for path in paths]
     if problems := [
@@ -200,7 +183,7 @@ def weather(folder: Path, split: Split, count: int) -> dict[str, Any]:
     instances = [
         {
             **{name: known[k % 3][k][name] for name in same},
-            **{"tier": sources[k % 3], "condition": CONDITIONS[k % len(CONDITIONS)]},
+            **{"tier": sources[k % 3], "condition": splits.CONDITIONS[k % len(splits.CONDITIONS)]},
         }
         for k in range(count)
     ]
@@ -215,8 +198,8 @@ def array_hash(actions: NDArray[np.float32]) -> str:
 def known_of(sampler: FieldSampler | Passages, empty: Sequence[int]) -> Mapping[str, Any]:
     """Return the settings that the tier of a field fixes."""
     if isinstance(sampler, Passages):
-        return SETTINGS[PASSAGES]
-    return search_settings(empty, 0.0) if empty else {}
+        return splits.SETTINGS[PASSAGES]
+    return splits.search_settings(empty, 0.0) if empty else {}
 
 
 def plan_problem(
@@ -241,7 +224,7 @@ def instance_problems(
 ) -> Iterator[str]:
     """Make, play and prove an instance again; yield what is not as it was written down."""
     field = sampler.field(one["candidate"])
-    if geometry_hash(field) != one["geometry"]:
+    if splits.geometry_hash(field) != one["geometry"]:
         yield "geometry: the field is another"
         return
     if array_hash(actions) != one["plan"]:

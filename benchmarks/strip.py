@@ -1,7 +1,5 @@
 """The figures of the pages of results: makespan over the proved optimum, a dot a run."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,19 +22,9 @@ from baselines.evaluation.intervals import mean_interval
 from baselines.policies.load import Source
 from baselines.policies.shielded import Shielded, information_of
 from baselines.runs.files import write_text
+from benchmarks import tables
 from benchmarks.leaderboard import SPLIT
 from benchmarks.studies.learning import Study
-from benchmarks.tables import (
-    CLASSICAL_ROWS,
-    PRICED,
-    RADII_ROWS,
-    ROW,
-    SEARCH_ROW,
-    SEARCHED,
-    by_radius,
-    rows_of,
-    unbounded,
-)
 from mbn_marl.field import catalogue_names, splits
 from mbn_marl.render import figures, style
 
@@ -61,14 +49,14 @@ SHIELD = "-shield"
 UNDRAWN = ("blind", "open-loop", "replan", f"generalist{SHIELD}", "search", f"search{SHIELD}")
 # By folder: the tier, and radii of policies.
 SEARCHERS: Mapping[str, tuple[str, Mapping[str, Sequence[float]]]] = {
-    SEARCHED: (
+    tables.SEARCHED: (
         splits.SEARCH,
         {
             **{"greedy-local": RADII, "greedy": THREE, f"generalist{SHIELD}": THREE},
             **{"search": THREE, f"search{SHIELD}": THREE},
         },
     ),
-    PRICED: (
+    tables.PRICED: (
         "1-convex",
         {"greedy-local": RADII, "generalist": RADII, f"generalist{SHIELD}": THREE},
     ),
@@ -89,17 +77,17 @@ class Strip:
     def run(self, command: str) -> bool:
         places = {self.folder / FIELDS / "runs.csv": untrained}
         for name, case in SCRIPTED.items():
-            places[self.folder / name / CLASSICAL_ROWS] = partial(scripted, name, *case)
+            places[self.folder / name / tables.CLASSICAL_ROWS] = partial(scripted, name, *case)
         for name, task in SEARCHERS.items():
-            places[self.folder / name / RADII_ROWS] = partial(searched, *task)
+            places[self.folder / name / tables.RADII_ROWS] = partial(searched, *task)
         for path, measure in places.items():
             if path.parent.is_dir() and not path.is_file():
                 write_text(path, csv_text(measure(), "%.4f"))
-        for path in self.folder.glob(f"*/{RADII_ROWS}"):
-            rows = by_radius(path.parent).query("policy not in @UNDRAWN")
+        for path in self.folder.glob(f"*/{tables.RADII_ROWS}"):
+            rows = tables.by_radius(path.parent).query("policy not in @UNDRAWN")
             figures.save(reach(rows), path.with_suffix(".png"))
         folders = {path.parent.name: path.parent for path in self.folder.glob("*/runs.csv")}
-        found = {name: rows_of(folders[name]) for name in sorted(folders.keys() - SEARCHERS)}
+        found = {name: tables.rows_of(folders[name]) for name in sorted(folders.keys() - SEARCHERS)}
         shown = {label: found[name].query("label == @label") for label, name in COLUMNS.items()}
         together = pandas.concat(shown.values())
         write_text(self.folder / "strip.csv", csv_text(together, "%.4f"))
@@ -107,7 +95,7 @@ class Strip:
         for name, rows in found.items():
             if rows[["deterministic_gap", "deterministic_makespan"]].notna().any(axis=None):
                 groups = dict(list(rows.groupby("label", sort=False)))
-                file = "makespans.png" if unbounded(rows) else "gaps.png"
+                file = "makespans.png" if tables.unbounded(rows) else "gaps.png"
                 figures.save(strip(groups), self.folder / name / file)
         print(f"written to {self.folder}: strip.csv, strip.png, a figure for each study")
         return True
@@ -118,7 +106,7 @@ def untrained() -> DataFrame:
     labels = (label for label, place in COLUMNS.items() if place == FIELDS)
     cases = product(labels, catalogue_names())
     rows = [measured(label, POLICIES.get(label, label), field) for label, field in cases]
-    return DataFrame(rows, columns=ROW)
+    return DataFrame(rows, columns=tables.ROW)
 
 
 def scripted(name: str, policies: Sequence[str], episodes: int) -> DataFrame:
@@ -130,7 +118,7 @@ def scripted(name: str, policies: Sequence[str], episodes: int) -> DataFrame:
         settings = {key: some for key, some in one.environment.items() if key != "observation"}
         label = f"{policy}-{one.name.rpartition('-')[2]}"
         rows.append(measured(label, POLICIES.get(policy, policy), field, episodes, **settings))
-    return DataFrame(rows, columns=ROW)
+    return DataFrame(rows, columns=tables.ROW)
 
 
 def measured(
@@ -146,7 +134,7 @@ def measured(
 
 
 def strip(groups: Mapping[str, DataFrame]) -> Figure:
-    steps = any(map(unbounded, groups.values()))
+    steps = any(map(tables.unbounded, groups.values()))
     shown = "deterministic_makespan" if steps else "deterministic_gap"
     values = {label: rows[shown].where(rows.passed) for label, rows in groups.items()}
     known = {label: [*some.replace({np.nan: None})] for label, some in values.items()}
@@ -167,7 +155,7 @@ def searched(tier: str, policies: Mapping[str, Sequence[float]]) -> DataFrame:
             policy = loaded.policy if bare == label else Shielded(loaded.policy)
             done = evaluate(policy, [one], loaded.settings, episodes=1, deterministic=True)
             rows.append((label, sees, name, radius, done.summary()["gap"]))
-    return DataFrame(rows, columns=SEARCH_ROW)
+    return DataFrame(rows, columns=tables.SEARCH_ROW)
 
 
 @matplotlib.rc_context(style.MATPLOTLIB)

@@ -1,18 +1,17 @@
 """The tables of the pages of results, of the same rows as their figures."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas
+from numpy.typing import NDArray
 from pandas import DataFrame
 from scipy.stats import binomtest
 
 from baselines.compare.text_table import TextTable
-from baselines.evaluation.intervals import Interval, mean_interval
+from baselines.evaluation.intervals import mean_interval
 from baselines.runs.files import RunError, read_json, read_text, write_text
 from benchmarks.leaderboard import SPLIT
 from mbn_marl.field import load_split, splits
@@ -87,8 +86,7 @@ def searched(folder: Path) -> TextTable:
         gaps = own.pivot_table("gap", "field", "comm_radius").reindex(columns=success.index)
         never, near, all_heard = (1.0 + gaps).to_numpy().T
         found = (never, near, all_heard, near / all_heard, never / all_heard)  # as RATIOS has them
-        known = [ratios[~np.isnan(ratios)] for ratios in found]
-        words = [_with_ends(mean_interval([*some]) if len(some) else None) for some in known]
+        words = [_with_ends(ratios[~np.isnan(ratios)]) for ratios in found]
         lines.append((-success.sum(), words[2], policy, sees, shares, *words))
     headings = ("policy", "information", f"success at {' / '.join(splits.RADII)}", *RATIOS)
     return TextTable("", headings, [line[2:] for line in sorted(lines)], words=2)
@@ -128,18 +126,18 @@ def passages(folder: Path) -> TextTable:
         rows = DataFrame([{**row, **row["mean"]} for row in instances])
         won, success = rows.dropna(subset="makespan"), rows.success_rate.mean()
         ratios = (won.makespan / least for least in (won.makespan_lower_bound, won.field.map(best)))
-        words = [_with_ends(mean_interval([*some]) if len(some) else None) for some in ratios]
+        words = [_with_ends(some.to_numpy()) for some in ratios]
         sees = ", ".join(rows.information.unique())
         lines.append((-success, words[0], path.stem, sees, f"{success:.0%}", *words))
     headings = ("policy", "information", "success", "makespan / bound", "makespan / best plan")
     return TextTable("", headings, [line[2:] for line in sorted(lines)], words=2)
 
 
-def _with_ends(price: Interval | None) -> str:
-    if price is None:
+def _with_ends(ratios: NDArray[np.float64]) -> str:
+    if not len(ratios):
         return "-"
-    ends = "" if price.low in (None, price.high) else f" ({price.low:.2f}..{price.high:.2f})"
-    return f"{price.mean:.2f}{ends}"
+    mean, low, high = mean_interval([*ratios])
+    return f"{mean:.2f}" + ("" if low in (None, high) else f" ({low:.2f}..{high:.2f})")
 
 
 def rows_of(study: Path) -> DataFrame:

@@ -1,20 +1,21 @@
 """``mbn compare``, ``report``, ``benchmark`` and ``runs``: what runs and policies are worth."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import CORES, OptionalOutput, Output, Writes, check_options
+from baselines.compare.text_table import TextTable, shown
 from baselines.compare.variants import CompareConfig, read_variants
-
-if TYPE_CHECKING:
-    from baselines.compare.records import Results
+from baselines.console import console
+from baselines.runs.discover import run_folders
+from baselines.runs.files import Place, RunError, alone, claim_folder, reading, write_text
+from baselines.runs.folder import RunFolder
+from mbn_marl.errors import MbnError
 
 WRITTEN = "comparison.md, comparison.json, table.csv, runs.csv, curves.csv, figures, runs"
 
@@ -51,13 +52,11 @@ class Compare(Writes):
         print(f"written to {self.out}: {WRITTEN}")
 
 
-def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Results:
+def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> None:
     """Train, write and print a comparison; a RunError names at the end all that diverged."""
     from baselines.compare.report import PAGE, write_comparison
     from baselines.compare.run import train_all_runs
     from baselines.compare.tables import print_comparison
-    from baselines.console import console
-    from baselines.runs.files import Place, RunError
     from baselines.training.run_logger import progress_bars
 
     print(f"{len(config.runs())} runs of {config.steps:,} env-steps")
@@ -67,7 +66,6 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> Resul
     if results.broken:
         errors = "\n".join(results.broken.values())
         raise RunError(f"{out / PAGE} leaves out the variants of runs that diverged:\n{errors}")
-    return results
 
 
 @dataclass(frozen=True)
@@ -93,8 +91,6 @@ class Report(Writes):
     def run(self, command_line: str) -> None:
         from baselines.compare.report import is_page, report_comparison
         from baselines.compare.tables import print_comparison
-        from baselines.console import console
-        from baselines.runs.files import Place
 
         page = is_page(self.out)
         inputs = [run.resolve() for run in self.runs]
@@ -148,23 +144,14 @@ class Benchmark(Writes):
     def run(self, command_line: str) -> None:
         from rich.progress import Progress
 
-        from baselines.compare.benchmark import (
-            PAGE,
-            load_protocol,
-            load_tiers,
-            result_page,
-            result_tables,
-            run_benchmark,
-        )
-        from baselines.console import console
+        from baselines.compare import benchmark
         from baselines.policies.load import check_known
         from baselines.policies.shielded import behind
-        from baselines.runs.files import alone, claim_folder, write_text
 
         wrong = {"force and resume: allowed is one of them": self.force and self.resume}
         check_options("benchmark", wrong)
         check_known(self.source)
-        tiers = load_tiers(self.split, self.tiers or load_protocol().tiers)
+        tiers = benchmark.load_tiers(self.split, self.tiers or benchmark.load_protocol().tiers)
         policy = f"{self.source}{behind(self.shield)}"
         name = re.sub(r"[^\w.-]+", "-", policy).strip("-")
         out = self.out or Path(f"runs/benchmark-{name}-{self.split}")
@@ -176,12 +163,12 @@ class Benchmark(Writes):
             how: dict[str, Any] = {"command": command_line, "shield": self.shield}
             how |= {"resume": self.resume, "advance": partial(progress.advance, task)}
             try:
-                record = run_benchmark(self.source, self.split, tiers, out, **how)
+                record = benchmark.run_benchmark(self.source, self.split, tiers, out, **how)
             except KeyboardInterrupt:
                 problem = f"{out} has the tiers that are done; continue with --resume"
                 raise KeyboardInterrupt(problem) from None
-        write_text(out / PAGE, result_page(record, out))
-        for title, table in result_tables(record).items():
+        write_text(out / benchmark.PAGE, benchmark.result_page(record, out))
+        for title, table in benchmark.result_tables(record).items():
             table.print(f"{policy} on {self.split}: {title}")
         print(f"written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
 
@@ -194,9 +181,6 @@ class Runs:
     """Run folders, or folders that hold some."""
 
     def run(self, command_line: str) -> None:
-        from baselines.compare.text_table import TextTable
-        from baselines.runs.discover import run_folders
-
         lines = [line_of(path) for path in run_folders(self.folders, comparisons=True)]
         headings = ("run", "algorithm", "field", "seed", "state", "success", "makespan")
         caption = "sampled actions in the final evaluation, or the last one so far"
@@ -204,11 +188,6 @@ class Runs:
 
 
 def line_of(path: Path) -> tuple[str, ...]:
-    from baselines.compare.text_table import shown
-    from baselines.runs.files import reading
-    from baselines.runs.folder import RunFolder
-    from mbn_marl.errors import MbnError
-
     here = Path.cwd()
     name = str(path.relative_to(here) if path.is_relative_to(here) else path)
     try:

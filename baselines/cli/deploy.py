@@ -10,8 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from baselines.cli.options import InWeather, check_options
+from baselines.compare.text_table import TextTable, shown
+from baselines.runs.files import write_json
 from mbn_marl.config import CONDITIONS
 from mbn_marl.errors import ConfigError
+from mbn_marl.files import check_free, claim_file
 
 if TYPE_CHECKING:
     from baselines.policies.loaded import LoadedPolicy
@@ -59,8 +62,6 @@ class Deploy(InWeather):
     def run(self, command_line: str) -> None:
         from baselines.policies.classical import CLASSICAL
         from baselines.policies.load import find_policy
-        from baselines.runs.files import write_json
-        from mbn_marl.files import claim_file
         from mbn_marl.sim3d import Scale
 
         speeds, angle = self._check()
@@ -82,8 +83,9 @@ class Deploy(InWeather):
                 for name, one in simulators.items():
                     sweep = sweep_wind(actor, one, speeds, angle, every=self.figure is not None)
                     flights[-1][name] = sweep
-                    strongest = strongest_wind(sweep) if self.wind_speeds else None
-                    last = {"strongest_wind": strongest}
+                    good = takewhile(lambda flight: flight.success, sweep)
+                    winds = [flight.config.wind[0] for flight in good if self.wind_speeds]
+                    last = {"strongest_wind": max(winds, default=None)}
                     rows += [{"sim": name, **summarise(flight, scale), **last} for flight in sweep]
         names = {
             "mujoco": f"{self.vehicle}s in MuJoCo",
@@ -100,7 +102,6 @@ class Deploy(InWeather):
 
     def _check(self) -> tuple[list[float], float]:
         # No wind where the policy's, or the condition's, is to stay.
-        from mbn_marl.files import check_free
         from mbn_marl.render.figures import check_name
 
         blown = self.wind_speeds and "wind" in CONDITIONS[self.condition or "calm"]
@@ -204,8 +205,6 @@ def parse_speeds(text: str) -> list[float]:
 
 
 def print_deployments(rows: Sequence[Mapping[str, Any]], title: str) -> None:
-    from baselines.compare.text_table import TextTable, shown
-
     caption = (
         "ratio: to the plane's makespan; apart: least distance of robots, units;\n"
         "error: of tracking, units a step; speed: times real time on one core"
@@ -252,12 +251,6 @@ def sweep_wind(
         if not (flown.success or every):
             break
     return deployments
-
-
-def strongest_wind(sweep: Sequence[Deployment]) -> float | None:
-    """Return the largest wind speed with success in it and in all weaker ones of a sweep."""
-    good = takewhile(lambda one: one.success, sweep)
-    return max((one.config.wind[0] for one in good), default=None)
 
 
 def summarise(deployment: Deployment, scale: Scale) -> dict[str, Any]:

@@ -1,7 +1,5 @@
 """``mbn evaluate``, ``zoo`` and ``export``: trained policies, and classical ones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,6 +9,12 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import OptionalOutput, Output, Subject, Writes, check_options
+from baselines.compare.text_table import TextTable, shown
+from baselines.runs.files import claim_folder, read_json, write_json
+from baselines.runs.folder import RunFolder
+from mbn_marl.config import make_config
+from mbn_marl.field import FieldSampler
+from mbn_marl.files import check_ending, check_free, claim_file
 
 ONE_EPISODE = "deterministic:\none episode"
 NUMBERS = {
@@ -36,20 +40,13 @@ class Evaluate(Subject):
     """Let robots do only what they could brake after, whatever the policy wants."""
 
     def run(self, command_line: str) -> None:
-        from baselines.evaluation.evaluate import (
-            EVALUATION_SEED,
-            evaluate_both,
-            extremes,
-            is_one_episode,
-        )
+        from baselines.evaluation import evaluate
         from baselines.policies.load import find_policy, is_trained, open_run
         from baselines.policies.shielded import Shielded, behind
-        from baselines.runs.files import claim_folder, write_json
         from mbn_marl.engine.validation import reset_problems
         from mbn_marl.episode import save_episode
-        from mbn_marl.files import check_free, claim_file
 
-        seed = EVALUATION_SEED if self.seed is None else self.seed
+        seed = evaluate.EVALUATION_SEED if self.seed is None else self.seed
         wrong = {f"episodes: at least 1, not {self.episodes}": self.episodes < 1}
         check_options("evaluation", wrong | dict.fromkeys(reset_problems(seed, 0), True))
         actor = find_policy(self.source, self.field, seed=seed, **self.asked)
@@ -66,8 +63,8 @@ class Evaluate(Subject):
         if self.record is not None:
             drawn = ", sampled actions" if policy.draws(deterministic=False) else ""
             how |= {"record": range(self.episodes), "source": title + drawn}
-        results = evaluate_both(*where, **how)
-        one = partial(is_one_episode, policy, actor.settings)
+        results = evaluate.evaluate_both(*where, **how)
+        one = partial(evaluate.is_one_episode, policy, actor.settings)
         summaries = {name: result.summary() for name, result in results.items()}
         print_evaluations(summaries.values(), title, one)
         if self.json is not None:
@@ -76,7 +73,7 @@ class Evaluate(Subject):
             episodes = {name: result.to_json() for name, result in results.items()}
             write_json(claim_file(self.json, force=self.force), {**heading, **episodes})
         if self.record is not None:
-            recorded = extremes(results["stochastic"])
+            recorded = evaluate.extremes(results["stochastic"])
             for name, episode in recorded.items():
                 named = replace(episode, source=f"{episode.source}, {name}")
                 save_episode(named, self.record / f"{name}.json")
@@ -89,8 +86,6 @@ def print_evaluations(
     one: Callable[..., bool] = lambda *, deterministic: False,
 ) -> None:
     """Print summaries, one a row; ``one`` says if all episodes of a row are the same."""
-    from baselines.compare.text_table import TextTable
-
     lines = []
     for row in summaries:
         episodes = ONE_EPISODE if one(deterministic=row["deterministic"]) else str(row["episodes"])
@@ -100,8 +95,6 @@ def print_evaluations(
 
 
 def _cells(summary: Mapping[str, Any]) -> Iterator[str]:
-    from baselines.compare.text_table import shown
-
     yield "mean" if summary["deterministic"] else "sampled"
     for name, form in NUMBERS.values():
         yield shown(summary[name], form)
@@ -118,10 +111,7 @@ class Zoo(Writes):
 
     def run(self, command_line: str) -> None:
         from baselines.policies.load import CARD, ENTRIES, entry_names
-        from baselines.runs.files import read_json
-        from baselines.runs.folder import RunFolder
         from baselines.zoo.make import make_entry
-        from mbn_marl.field import FieldSampler
 
         check_options("zoo", {"out: allowed with --add": self.out and self.add is None})
         if self.add is None:
@@ -134,8 +124,6 @@ class Zoo(Writes):
 
 
 def print_cards(cards: Iterable[Mapping[str, Any]]) -> None:
-    from baselines.compare.text_table import TextTable
-
     lines = [
         (f"zoo:{card['name']}", card["information"], *_cells(card[kind]), f"{card['env_steps']:,}")
         for card in cards
@@ -159,8 +147,6 @@ class Export(Writes):
     def run(self, command_line: str) -> None:
         from baselines.policies.export import ALLOWED, export_policy
         from baselines.policies.load import check_known, find_policy, is_trained
-        from mbn_marl.config import make_config
-        from mbn_marl.files import check_ending
 
         check_ending(self.out, ".onnx")
         check_known(self.policy)

@@ -1,18 +1,18 @@
 """``mbn fields``: fields as a table or as a figure; random ones, or one of a map, as files."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import OptionalOutput, Writes, check_options
-
-if TYPE_CHECKING:
-    from mbn_marl.field import Field
+from baselines.compare.text_table import TextTable, shown
+from mbn_marl.errors import FieldError, collecting
+from mbn_marl.field import Field, catalogue_names, generate, load_field, load_map, save_field
+from mbn_marl.files import check_free, claim_file
+from mbn_marl.optimum import optimal_return
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,6 @@ class Fields(Writes):
     """Draw them in this file (.png, .pdf or .svg), side by side."""
 
     def run(self, command_line: str) -> None:
-        from mbn_marl.errors import FieldError, collecting
-        from mbn_marl.field import catalogue_names, load_field
-
         self._check()
         fields, problems = self._made(), list[str]()
         for name in self.fields or (() if fields else catalogue_names()):
@@ -56,9 +53,19 @@ class Fields(Writes):
         self._print(fields)
         if self.out is not None:
             random = [self.out / f"{field.name}.yaml" for field in fields]
-            self._write(fields, random if self.map is None else [self.out])
+            paths = random if self.map is None else [self.out]
+            for path in paths:
+                check_free(path, force=self.force)
+            for field, path in zip(fields, paths, strict=True):
+                save_field(field, claim_file(path, force=self.force))
+            print(f"{len(paths)} written to {self.out}")
         if self.figure is not None:
-            self._draw(fields, self.figure)
+            from mbn_marl.render import figures
+
+            alone = len(fields) == 1
+            figure = figures.field_figure(fields[0]) if alone else figures.fields_figure(fields)
+            path = claim_file(self.figure, force=self.force)
+            print(f"written to {figures.save(figure, path)}")
 
     def _check(self) -> None:
         names = ("seed", "count", "robots", "rois", "size", "out", "metres_per_unit")
@@ -83,14 +90,11 @@ class Fields(Writes):
         }
         check_options("fields", wrong)
         if self.figure is not None:
-            from mbn_marl.files import check_free
             from mbn_marl.render import figures
 
             check_free(figures.check_name(self.figure), force=self.force)
 
     def _made(self) -> list[Field]:
-        from mbn_marl.field import generate, load_map
-
         counts: dict[str, Any] = {"robots": self.robots, "rois": self.rois}
         if self.map is not None:
             scale = self.metres_per_unit
@@ -104,9 +108,6 @@ class Fields(Writes):
         ]
 
     def _print(self, fields: Sequence[Field]) -> None:
-        from baselines.compare.text_table import TextTable, shown
-        from mbn_marl.optimum import optimal_return
-
         lines = [
             (
                 field.name,
@@ -120,22 +121,3 @@ class Fields(Writes):
         headings = ("field", "robots", "ROIs", "holes", "edges", "area", "makespan", "return")
         title = "fields (makespan, return: proved optima, released rewards, no wind)"
         TextTable("", headings, lines).print(title)
-
-    def _write(self, fields: Sequence[Field], paths: Sequence[Path]) -> None:
-        from mbn_marl.field import save_field
-        from mbn_marl.files import check_free, claim_file
-
-        for path in paths:
-            check_free(path, force=self.force)
-        for field, path in zip(fields, paths, strict=True):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            save_field(field, claim_file(path, force=self.force))
-        print(f"{len(paths)} written to {self.out}")
-
-    def _draw(self, fields: Sequence[Field], path: Path) -> None:
-        from mbn_marl.files import claim_file
-        from mbn_marl.render import figures
-
-        alone = len(fields) == 1
-        figure = figures.field_figure(fields[0]) if alone else figures.fields_figure(fields)
-        print(f"written to {figures.save(figure, claim_file(path, force=self.force))}")

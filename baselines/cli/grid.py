@@ -1,7 +1,5 @@
 """``mbn grid``: many runs, declared in a file, on this machine or on a cluster."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,6 +7,8 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import CORES
+from baselines.console import console
+from baselines.runs.folder import RunFolder
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,6 @@ class Grid:
     def run(self, command_line: str) -> None:
         from rich.progress import MofNCompleteColumn, Progress, TaskID, TimeElapsedColumn
 
-        from baselines.console import console
-        from baselines.runs.folder import RunFolder
         from baselines.sweep.run import Outcome, check_outcomes, make_engine, runs_left, train_runs
         from baselines.sweep.spec import read_spec, runs_of
         from baselines.training.run_logger import Report

@@ -1,7 +1,5 @@
 """``mbn``: read the command line, run the command, and say clearly what was wrong."""
 
-from __future__ import annotations
-
 import inspect
 import os
 import shlex

@@ -1,7 +1,5 @@
 """The options of commands: dataclasses that tyro reads from the command line."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """``mbn plan``: the proved optimum of a field; ``mbn warmup``: the engine, compiled."""
 
-from __future__ import annotations
-
 import json
 import re
 import time
@@ -13,10 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import OptionalOutput, Writes, check_options
-from mbn_marl.config import Condition, Observation
+from baselines.compare.text_table import TextTable, shown
+from baselines.runs.files import claim_folder, read_json, write_arrays, write_json
+from mbn_marl.config import Condition, Observation, make_config
+from mbn_marl.errors import ConfigError, FieldError, MbnError
+from mbn_marl.field import Field, load_field
+from mbn_marl.files import replacing
 
 if TYPE_CHECKING:
-    from mbn_marl.field import Field
     from mbn_marl.planning import Plan as FoundPlan
 
 
@@ -38,9 +40,6 @@ class Plan(Writes):
     """The folder to write; by default runs/plan-FIELD."""
 
     def run(self, command_line: str) -> None:
-        from baselines.runs.files import claim_folder, write_json
-        from mbn_marl.config import make_config
-        from mbn_marl.field import load_field
         from mbn_marl.planning import plan
         from mbn_marl.planning.problem import make_problem
 
@@ -74,9 +73,7 @@ class Plan(Writes):
         print(f"written to {folder}: {', '.join(names)}")
         self._keep_optimum(found, changed)
 
-    def _keep_optimum(self, found: FoundPlan, changed: bool) -> None:
-        from mbn_marl.errors import MbnError
-
+    def _keep_optimum(self, found: "FoundPlan", changed: bool) -> None:
         path, line = Path(self.field), f"optimal_makespan: {found.makespan}"
         if self.write and not found.optimal:
             raise MbnError(f"{path} is left as it is, since this plan is not proved optimal")
@@ -88,8 +85,6 @@ class Plan(Writes):
 
 
 def proved_makespan(folder: Path, field: Field, settings: Mapping[str, Any]) -> int | None:
-    from baselines.runs.files import read_json
-
     path = folder / "plan.json"
     found = read_json(path) if path.is_file() else None
     wanted = {"field": field.to_dict(), "settings": settings, "optimal": True}
@@ -102,10 +97,6 @@ def proved_makespan(folder: Path, field: Field, settings: Mapping[str, Any]) -> 
 
 def write_optimum(path: Path, makespan: int | None) -> None:
     """Write a proved optimum into a field file, which has to be a block of YAML."""
-    from mbn_marl.errors import ConfigError, FieldError
-    from mbn_marl.field import load_field
-    from mbn_marl.files import replacing
-
     path = path.resolve()  # a link stays one
     text = path.read_bytes().decode()
     end = "\r\n" if "\r\n" in text else "\n"
@@ -124,38 +115,31 @@ def write_optimum(path: Path, makespan: int | None) -> None:
         raise ConfigError(str(path), [problem]) from None
 
 
-def _write_plan(found: FoundPlan, folder: Path, settings: dict[str, Any]) -> list[str]:
-    from baselines.runs.files import write_arrays
-    from mbn_marl.config import make_config
-    from mbn_marl.episode import play, save_episode
-    from mbn_marl.render import figures
+def _write_plan(found: "FoundPlan", folder: Path, settings: dict[str, Any]) -> list[str]:
+    from baselines.evaluation.rollout import write_episode
+    from mbn_marl.episode import play
 
-    config = make_config(settings)
     kind = ", proved optimal" if found.optimal else ""
-    episode = play(found.field, config, found.actions, source=f"plan{kind}")
-    save_episode(episode, folder / "episode.json")
+    episode = play(found.field, make_config(settings), found.actions, source=f"plan{kind}")
+    write_episode(episode, folder / "episode.json")
     write_arrays(folder / "plan.npz", {"actions": found.actions, "positions": found.trail})
     title = f"{found.field.name}: {found.makespan} steps{', optimal' if found.optimal else ''}"
-    figure = figures.trajectory_figure(episode.snapshot(episode.steps), title)
-    figures.save(figure, folder / "plan.png")
+    write_episode(episode, folder / "plan.png", title)
     return ["plan.npz", "plan.png", "episode.json"]
 
 
-def print_plan(found: FoundPlan) -> None:
-    from rich.table import Table
-
-    from baselines.console import console
-
-    table = Table(title=f"plan of {found.field.name}", show_header=False)
+def print_plan(found: "FoundPlan") -> None:
     none = found.makespan is None
-    table.add_row("makespan", "none was found" if none else f"{found.makespan} steps")
-    table.add_row("proved lower bound", f"{found.makespan_lower_bound} steps")
-    table.add_row("optimal", "yes, proved" if found.optimal else "not proved")
-    table.add_row("return", "-" if found.return_ is None else f"{found.return_:,.0f}")
+    lines = [
+        ("makespan", "none was found" if none else f"{found.makespan} steps"),
+        ("proved lower bound", f"{found.makespan_lower_bound} steps"),
+        ("optimal", "yes, proved" if found.optimal else "not proved"),
+        ("return", shown(found.return_)),
+    ]
     for robot, rois in enumerate(found.assignment):
-        table.add_row(f"robot_{robot} visits", ", ".join(f"w{roi + 1}" for roi in rois) or "-")
-    table.add_row("took", f"{found.seconds:.2f} s")
-    console().print(table)
+        lines.append((f"robot_{robot} visits", ", ".join(f"w{roi + 1}" for roi in rois) or "-"))
+    lines.append(("took", f"{found.seconds:.2f} s"))
+    TextTable("", (f"plan of {found.field.name}", ""), lines, words=2).print()
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """``mbn render``, ``replay``, ``watch`` and ``play``: episodes, drawn and recorded."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,6 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import OptionalOutput, Output, Subject, Writes, check_options
+from baselines.runs.files import write_text
+from mbn_marl.errors import FieldError
+from mbn_marl.files import check_ending, check_free, claim_file
 
 if TYPE_CHECKING:
     from mbn_marl.episode import Episode
@@ -31,7 +32,6 @@ class Render(Subject):
 
     def run(self, command_line: str) -> None:
         from baselines.evaluation.rollout import FORMATS, write_episode
-        from mbn_marl.files import check_ending, check_free, claim_file
 
         few = self.steps is not None and self.steps < 1
         check_options("render", {f"steps: at least 1, not {self.steps}": few})
@@ -41,12 +41,11 @@ class Render(Subject):
         print(result(episode))
         print(f"written to {self.out}")
 
-    def _episode(self) -> Episode:
+    def _episode(self) -> "Episode":
         from baselines.evaluation.rollout import record_episode
         from baselines.policies.load import RANDOM, find_policy
         from mbn_marl.episode import check_episode, is_episode_file, load_episode
         from mbn_marl.episode.files import EXPECTED
-        from mbn_marl.errors import FieldError
 
         if is_episode_file(self.source):
             names = ("field", "condition", "wind", "sampled", "seed", "steps")
@@ -70,7 +69,7 @@ class Render(Subject):
         )
 
 
-def result(episode: Episode) -> str:
+def result(episode: "Episode") -> str:
     return f"{episode.outcome}, {episode.steps} steps, return {episode.team_return:,.0f}"
 
 
@@ -82,12 +81,9 @@ class Replay(Writes):
     """Files of episodes, such as `mbn render RUN -o episode.json` writes."""
     out: Output
     """The .html file to write."""
-    title: str | None = None
-    """Of the page; by default the fields' names."""
 
     def run(self, command_line: str) -> None:
         from mbn_marl.episode import check_episode, load_episode
-        from mbn_marl.files import check_ending, check_free, claim_file, replacing
         from mbn_marl.render.web import replay_page
 
         check_free(check_ending(self.out, ".html"), force=self.force)
@@ -96,9 +92,7 @@ class Replay(Writes):
             replace(check_episode(episode, str(path)), source=f"{episode.source} ({path})")
             for path, episode in episodes.items()
         ]
-        page = replay_page(shown, self.title)
-        with replacing(claim_file(self.out, force=self.force)) as temporary:
-            temporary.write_text(page, encoding="utf-8")
+        write_text(claim_file(self.out, force=self.force), replay_page(shown))
         for episode in episodes.values():
             print(f"{episode.source}: {result(episode)}; replayed exactly")
         print(f"written to {self.out}")
@@ -123,7 +117,6 @@ class _Window(Subject):
         from baselines.evaluation.window import watch
         from baselines.policies.load import find_policy, of_zoo
         from mbn_marl.episode import save_episode
-        from mbn_marl.files import check_ending, check_free, claim_file
 
         how: dict[str, Any] = {"seed": self.seed, "alone": of_zoo, **self.asked}
         actor = find_policy(self.source, self.field, **how)

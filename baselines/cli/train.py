@@ -1,16 +1,18 @@
 """``mbn train`` and ``mbn transfer``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from baselines.cli.evaluate import print_evaluations
 from baselines.cli.options import CORES, OptionalOutput, Output, Writes, check_options
-from baselines.training.config import TrainConfig
+from baselines.runs.files import RunError
+from baselines.runs.folder import RunFolder
+from baselines.training.config import ENVIRONMENT, TrainConfig, parse, validate
 from mbn_marl.config import Condition
+from mbn_marl.field import catalogue_names, load_field
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,6 @@ class Train(Writes):
     """Resume the interrupted run from its newest checkpoint, with the same command otherwise."""
 
     def run(self, command_line: str) -> None:
-        from baselines.cli.evaluate import print_evaluations
-        from baselines.training.config import ENVIRONMENT, parse
         from baselines.training.run_logger import progress_bars
         from baselines.training.train import notes, train
 
@@ -87,15 +87,10 @@ class Transfer:
     """Resume interrupted runs from their newest checkpoints, and leave finished ones."""
 
     def run(self, command_line: str) -> None:
-        from baselines.cli.evaluate import print_evaluations
-        from baselines.runs.files import RunError
-        from baselines.runs.folder import RunFolder
         from baselines.sweep.processes import LocalEngine
         from baselines.sweep.run import check_outcomes, train_runs
         from baselines.sweep.spec import GridSpec, runs_of
-        from baselines.training.config import validate
         from baselines.training.run_logger import progress_bars
-        from mbn_marl.field import catalogue_names, load_field
 
         home, engine = load_field(self.source), LocalEngine(self.processes)
         others = [name for name in catalogue_names() if load_field(name) != home]

@@ -1,17 +1,15 @@
 """``mbn tune``: hyperparameters with Optuna, in the paper's ranges."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
 from baselines.cli.options import CORES, OptionalOutput, Writes, check_options
-
-if TYPE_CHECKING:
-    from optuna.trial import FrozenTrial
+from baselines.console import console
+from baselines.paper.published import tuning_ranges
+from baselines.training.config import TrainConfig
 
 
 @dataclass(frozen=True)
@@ -46,12 +44,10 @@ class Tune(Writes):
     """Continue the study that is there; another trial replaces one that was interrupted."""
 
     def run(self, command_line: str) -> None:
+        from optuna.trial import FrozenTrial
         from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
-        from baselines.console import console
-        from baselines.paper.published import tuning_ranges
         from baselines.sweep.run import make_engine
-        from baselines.training.config import TrainConfig
         from baselines.tuning.tune import CONFIG, DIVERGED, ended, load_study, search_space, tune
 
         wrong = {"force and resume: allowed is one of them": self.force and self.resume}

@@ -1,7 +1,5 @@
 """A policy on the frozen fields, by the protocol that is the same for all (docs/benchmark.md)."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -10,7 +8,7 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -90,7 +88,7 @@ class Timed(Wrapped):
         super().__init__(policy)
         self.seconds, self.decisions = 0.0, 0
 
-    def fit(self, engine: BatchEngine) -> Timed:
+    def fit(self, engine: BatchEngine) -> Self:
         self.policy = self.policy.fit(engine)
         return self
 
@@ -276,13 +274,12 @@ def check_settings(
     """
     seen = {"observation": "entities", **fixed} if fixed else {}
     ours, theirs = make_config({"condition": condition, **seen}), make_config(settings)
-    problems = [
+    if problems := [
         f"{name}: {getattr(theirs, name)!r}; allowed: {getattr(ours, name)!r}"
         for name in NavigationConfig.model_fields
         if name not in ("n_robots", *protocol.settings)
         and getattr(ours, name) != getattr(theirs, name)
-    ]
-    if problems:
+    ]:
         raise SettingsError("settings of the policy, which change the task", problems)
 
 

@@ -1,7 +1,5 @@
 """The figures of comparisons, of the paper's report, and of a study of hyperparameters."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple

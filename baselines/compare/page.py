@@ -1,7 +1,5 @@
 """HTML pages of tables, figures and replays that need no other file."""
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The one reader of runs: what run folders record, and which of them may be compared."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections import Counter
@@ -9,7 +7,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +35,6 @@ BOTH = (*METRICS, *(f"deterministic_{name}" for name in METRICS))
 """The numbers of an evaluation: with sampled actions, and with mean ones."""
 LEARNER = ("algorithm", "setting", "environment", "hyperparameters")
 """Settings that must be the same in all runs of one label."""
-Content = TypeVar("Content", bound=BaseModel)
 Count = Annotated[WholeNumber, Range(ge=0, le=MOST)]
 Number = Annotated[RealNumber, Range(ge=-MOST, le=MOST)]
 Positive = Annotated[RealNumber, Range(ge=0, le=MOST)]
@@ -79,14 +76,12 @@ class Final(BaseModel):
 
 @dataclass(frozen=True)
 class RunRecord:
-    """A run's folder, configuration and fields."""
-
     run: RunFolder
     config: Mapping[str, Any]
     fields: Field | FieldSampler
 
     @classmethod
-    def read(cls, run: RunFolder, *, finished: bool = True) -> RunRecord:
+    def read(cls, run: RunFolder, *, finished: bool = True) -> Self:
         """Read a run, with all that a comparison needs if ``finished``; a RunError names a file."""
         of_tier = finished and run.config.get("tier") is not None
         record = cls(run, run.config, run.fields if of_tier else run.field)
@@ -182,9 +177,9 @@ def _frozen(tier: str) -> list[str]:
     return [*dict.fromkeys(one.field.name for one in load_split("test", tier))]
 
 
-def validate(model: type[Content], content: Any, path: Path, place: str = "") -> Content:
+def validate(model: type[BaseModel], content: Any, path: Path, place: str = "") -> None:
     try:
-        return model.model_validate(content)
+        model.model_validate(content)
     except ValidationError as error:
         problems = "; ".join(place + problem for problem in describe(error, model))
         raise RunError(f"{path} is not valid: {problems}") from None
@@ -210,10 +205,8 @@ def find_records(
             note(f"left out: {run.path}, trained on random fields")
     records, problems = list[RunRecord](), list[str]()
     for run in some or runs:
-        try:
+        with collecting(problems):
             records.append(RunRecord.read(run, finished=finished))
-        except RunError as error:
-            problems.append(str(error))
     if problems:
         raise RunError("\n".join(problems))
     return records
@@ -248,7 +241,7 @@ class Results:
         records: Sequence[RunRecord],
         broken: Mapping[str, str] | None = None,
         order: Sequence[str] = (),
-    ) -> Results:
+    ) -> Self:
         """Put finished runs together; a ConfigError names all that makes them unequal."""
         if not records:
             raise ConfigError("comparison", ["runs: there is none"])
@@ -293,7 +286,7 @@ class Results:
         unknown = {one.place for one in self.records if one.row["spl"] is None}
         return [name for name in self.fields if name not in unknown]
 
-    def on(self, fields: Collection[str]) -> Results:
+    def on(self, fields: Collection[str]) -> "Results":
         cells = {place: cell for place, cell in self.cells.items() if place[1] in fields}
         return Results(self.looks, tuple(fields), cells)
 

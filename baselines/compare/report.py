@@ -1,7 +1,5 @@
 """A comparison as a Markdown page beside its tables and figures, or as one HTML page."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import shutil
@@ -11,14 +9,8 @@ from typing import Any
 
 from pandas import DataFrame
 
+from baselines.compare import page
 from baselines.compare.curves import draw_gaps, draw_learning_curves
-from baselines.compare.page import (
-    episodes_html,
-    figures_html,
-    folded_html,
-    report_page,
-    tables_html,
-)
 from baselines.compare.records import Results, RunRecord, find_records
 from baselines.compare.summary import Comparison, summarise
 from baselines.compare.tables import field_tables, overall_tables
@@ -82,7 +74,7 @@ def is_page(out: Path) -> bool:
 def write_comparison(results: Results, place: Place) -> Comparison:
     """Write the page with the tables, and in its folder every number, the rows, the figures."""
     comparison, out = summarise(results), place.folder
-    write_json(out / "comparison.json", comparison.to_json())
+    write_json(out / "comparison.json", vars(comparison))
     curves = [point for one in results.records for point in one.curve]
     tables = {"table": comparison.rows, "runs": comparison.runs, "curves": curves}
     if of_tier := [one for one in results.records if one.config.get("tier") is not None]:
@@ -151,13 +143,15 @@ def marl_eval_data(results: Results) -> dict[str, Any]:
 
 def comparison_page(results: Results, comparison: Comparison, command: str) -> str:
     drawn = {"Makespan gaps": draw_gaps(comparison)} if comparison.aggregates else {}
-    sections = {"Over all fields": [figures_html(drawn), *tables_html(overall_tables(comparison))]}
+    sections = {
+        "Over all fields": [page.figures_html(drawn), *page.tables_html(overall_tables(comparison))]
+    }
     sections |= {field: _field_parts(results, comparison, field) for field in results.fields}
     made = "\n".join(record.run.command for record in results.records)
     texts = {"This page": command, f"The {len(results.records)} runs": made}
-    sections["Commands"] = folded_html(texts)
+    sections["Commands"] = page.folded_html(texts)
     summary = f"{comparison.verdict} {len(results.records)} runs, by mbn_marl {__version__}."
-    return report_page(comparison.question, summary, sections)
+    return page.report_page(comparison.question, summary, sections)
 
 
 def _field_parts(results: Results, comparison: Comparison, field: str) -> list[str]:
@@ -170,9 +164,9 @@ def _field_parts(results: Results, comparison: Comparison, field: str) -> list[s
     episodes = [_episode(one, f"{rank}: {one.run.path.name}") for rank, one in chosen.items()]
     curves = draw_learning_curves(field, groups, results.looks)
     return [
-        *tables_html({title: one for title, one in tables if title.startswith(f"{field}:")}),
-        figures_html({f"Learning curves on {field}": curves}),
-        *episodes_html(field, episodes),
+        *page.tables_html({title: one for title, one in tables if title.startswith(f"{field}:")}),
+        page.figures_html({f"Learning curves on {field}": curves}),
+        *page.episodes_html(field, episodes),
     ]
 
 

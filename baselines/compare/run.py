@@ -1,21 +1,12 @@
 """Train variants on fields with equal budgets, and compare what the runs recorded."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from baselines.algorithms import find_algorithm
 from baselines.compare.records import Results, RunRecord
 from baselines.compare.variants import CompareConfig
-from baselines.runs.files import (
-    RunError,
-    alone,
-    claim_folder,
-    differences,
-    read_json,
-    write_json,
-    write_provenance,
-)
+from baselines.runs import files
+from baselines.runs.files import RunError
 from baselines.runs.folder import RunFolder
 from baselines.sweep.processes import LocalEngine
 from baselines.sweep.run import check_outcomes, train_runs
@@ -46,19 +37,19 @@ def train_all_runs(
     problems: list[str] = []
     for run in {(run.shown_as, run.field): run for run in runs}.values():  # whatever the seed
         with collecting(problems):
-            find_algorithm(run.algorithm).check(*prepare(run))
+            find_algorithm(run.algorithm).trainer.check(*prepare(run))
     if problems:
         raise ConfigError("comparison", problems)
     if not resume:
-        claim_folder(out, force=force)
+        files.claim_folder(out, force=force)
     elif not (out / "config.json").is_file():
         raise RunError(f"{out} is not the folder of a comparison: it has no config.json")
-    elif changed := differences(read_json(out / "config.json", dict), config.to_json()):
+    elif changed := files.differences(files.read_json(out / "config.json", dict), config.to_json()):
         raise ConfigError(f"{out} cannot be resumed", changed)
-    with alone(out, "mbn compare"):
+    with files.alone(out, "mbn compare"):
         if not resume:
-            write_json(out / "config.json", config.to_json())
-            write_provenance(out, command)
+            files.write_json(out / "config.json", config.to_json())
+            files.write_provenance(out, command)
         engine = LocalEngine(processes)
         outcomes = train_runs(runs, out, engine, wandb=wandb, listener=listener)
     broken = {name: one for name, one in outcomes.items() if one.state == "diverged"}

@@ -5,8 +5,6 @@ percentile bootstrap, stratified: each resample draws, within every field, as ma
 are, with replacement (Agarwal et al., NeurIPS 2021).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -106,9 +104,6 @@ class Comparison:
     fields_without_bound: Sequence[str]  # the aggregates leave them out
     broken_runs: Mapping[str, str]  # the error of each that diverged; its label is left out
 
-    def to_json(self) -> dict[str, Any]:
-        return dict(vars(self))
-
 
 def summarise(results: Results) -> Comparison:
     bounded = results.on(results.bounded)
@@ -185,11 +180,8 @@ def _pairs(results: Results, labels: Sequence[str]) -> list[Numbers]:
         {
             **{"better": better, "worse": worse},
             **_named("difference", difference(*both)),
-            **{
-                "p": p_value,
-                "p_holm": corrected,
-                "detectable": detectable(both[0], both[1], len(p_values)),
-            },
+            **{"p": p_value, "p_holm": corrected},
+            "detectable": detectable(both[0], both[1], len(p_values)),
         }
         for (better, worse), both, p_value, corrected in zip(
             pairs, scores, p_values, holm(p_values), strict=True

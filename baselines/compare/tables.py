@@ -1,7 +1,5 @@
 """The tables of a comparison, in the order of SPL."""
 
-from __future__ import annotations
-
 from itertools import groupby
 from operator import itemgetter
 

@@ -1,7 +1,5 @@
 """A table of words, as Markdown, LaTeX, HTML and a terminal show it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -103,7 +101,7 @@ class TextTable:
         return blocks
 
 
-def csv_text(table: DataFrame, form: str | None = None) -> str:
+def csv_text(table: "DataFrame", form: str | None = None) -> str:
     """Return CSV with numbers in ``form``; a word that a spreadsheet would run gets a quote."""
 
     def safe(cell: object) -> object:

@@ -1,7 +1,5 @@
 """The subjects of a comparison, variants of algorithms, and what is compared, at equal budgets."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from pydantic_core import to_jsonable_python
 from tyro.conf import arg
 from tyro.constructors import PrimitiveConstructorSpec
@@ -20,10 +18,8 @@ from mbn_marl.errors import ConfigError, FieldError, collecting
 from mbn_marl.field import FieldSampler, load_fields
 
 
-class Variant(BaseModel):
+class Variant(BaseModel, frozen=True, extra="forbid"):
     """A way to train; hyperparameters and environment are what differs from the recorded ones."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     algorithm: str
     # C begins with another run: nothing to compare.
@@ -69,10 +65,8 @@ def read_variants(path: Path) -> tuple[Variant, ...]:
 def labelled(blocks: Mapping[str, Any], place: str) -> tuple[Variant, ...]:
     found, problems = list[Variant](), list[str]()
     for label, block in blocks.items():
-        try:
-            found.append(validate(Variant, {**block, "label": str(label)}, place))
-        except ConfigError as error:
-            problems += [f"{label}: {problem}" for problem in error.problems]
+        with collecting(problems):
+            found.append(validate(Variant, {**block, "label": str(label)}, str(label)))
     if problems:
         raise ConfigError(place, problems)
     return tuple(found)

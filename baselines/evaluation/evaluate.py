@@ -47,10 +47,6 @@ class Evaluation:
     recorded: tuple[Episode, ...] = ()  # those that were asked for, whole
 
     @property
-    def makespans(self) -> list[int]:
-        return [steps for steps, ok in zip(self.steps, self.successes, strict=True) if ok]
-
-    @property
     def pace(self) -> float:
         """The mean of 1 / makespan, 0 for a failure: it orders policies of the same fields."""
         return float(np.mean(np.array(self.successes) / self.steps))
@@ -69,6 +65,7 @@ class Evaluation:
         ``spl`` is success weighted by path length (Anderson et al., 2018), in steps.
         """
         paths = self.paths
+        makespans = (steps for steps, ok in zip(self.steps, self.successes, strict=True) if ok)
         return {
             "episodes": len(self.returns),
             "deterministic": self.deterministic,
@@ -78,7 +75,7 @@ class Evaluation:
             "return_max": max(self.returns),
             "success_rate": float(np.mean(self.successes)),
             "collision_rate": float(np.mean(self.collisions)),
-            "makespan": mean_of_known(self.makespans),
+            "makespan": mean_of_known(makespans),
             "gap": None if paths is None else mean_of_known(1.0 / p - 1.0 for p in paths if p),
             "spl": None if paths is None else float(np.mean(paths)),
             "rois_visited": float(np.mean(self.rois_visited)),

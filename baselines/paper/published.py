@@ -1,7 +1,5 @@
 """The paper's own numbers, as ``published.json`` holds them: tables, tuned values, protocol."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

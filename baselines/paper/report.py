@@ -1,20 +1,19 @@
 """The report on the paper's experiments: a Markdown page, tables and figures."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 
+import pandas
 from matplotlib.figure import Figure
 
 from baselines.algorithms import SETTINGS, Setting
 from baselines.compare import curves
 from baselines.compare.curves import Pair, Panel
 from baselines.compare.records import ordered
-from baselines.compare.text_table import DASH
+from baselines.compare.text_table import DASH, csv_text
 from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published, tables
 from baselines.paper.tables import KINDS, MISSING, PAGE
@@ -61,7 +60,8 @@ def write_report(
             figures.save(figure, place.folder / f"{name}.png")
     for kind in KINDS:
         same = [table for table in tables.paper_tables(trainings) if table.kind == kind]
-        write_text(place.folder / f"{kind}s.csv", tables.write_csv(same))
+        lines = pandas.concat([table.lines() for table in same]).drop_duplicates()
+        write_text(place.folder / f"{kind}s.csv", csv_text(lines, "%.10g"))
         latex = [table.text().latex(f"tab:{kind}s-{table.sample}") for table in same]
         write_text(place.folder / f"{kind}s.tex", "\n".join(latex))
     write_provenance(place.folder, command)

@@ -1,16 +1,14 @@
 """The paper's tables beside what the runs here give, and how both compare at a glance."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
-import pandas
 from pandas import DataFrame, MultiIndex, Series
 from scipy.stats import kendalltau
 
-from baselines.compare.text_table import DASH, TextTable, csv_text
+from baselines.compare.text_table import DASH, TextTable
 from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published
 from baselines.paper.published import STATISTICS
@@ -72,7 +70,7 @@ class PaperTable:
     cells: DataFrame
 
     @classmethod
-    def of(cls, kind: str, sample: str, names: Iterable[str], rows: DataFrame) -> PaperTable:
+    def of(cls, kind: str, sample: str, names: Iterable[str], rows: DataFrame) -> Self:
         here = {
             (*key, "here"): Series(SAMPLES[sample][1](group), list(STATISTICS))
             for key, group in rows.groupby([kind, "setting"], sort=False)
@@ -138,11 +136,6 @@ def paper_tables(trainings: Trainings) -> list[PaperTable]:
     names = (trainings.algorithms, trainings.field_names)
     chosen = [*zip(KINDS, names, papers, strict=True)]
     return [PaperTable.of(kind, sample, *part) for kind, *part in chosen for sample in SAMPLES]
-
-
-def write_csv(tables: Iterable[PaperTable]) -> str:
-    lines = pandas.concat([table.lines() for table in tables]).drop_duplicates()
-    return csv_text(lines, "%.10g")
 
 
 def coverage(trainings: Trainings) -> TextTable:

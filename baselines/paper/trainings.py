@@ -1,7 +1,5 @@
 """The runs that a report is made from, as two tables: one of runs, one of training episodes."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -60,7 +58,7 @@ class Trainings:
     def field_names(self) -> list[str]:
         return _known_first(published.FIELDS, self.runs.field)
 
-    def alike(self) -> Trainings:
+    def alike(self) -> "Trainings":
         """Return the runs on the fields that all algorithms of a setting have runs on.
 
         Algorithms with less than half as many fields as another one do not count.

@@ -1,7 +1,5 @@
 """Robots that can brake clear of each other if all do so, by what each one observes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 import json
 import logging
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +61,9 @@ def export_policy(
         **{"environment": policy.settings, "version": __version__},
         **{name: ["W", *past.shape[1:]] for name, past in memory.items()},
     }
-    with warnings.catch_warnings(action="ignore"), _quiet():
+    # The exporter warns of packages that it does not need here.
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    with warnings.catch_warnings(action="ignore"):
         program: Any = torch.onnx.export(
             Network(policy.policy).eval(),
             tuple(map(torch.from_numpy, (seen, *memory.values()))),
@@ -93,17 +93,6 @@ def export_policy(
     with replacing(claim_file(path, force=force)) as temporary:
         temporary.write_bytes(content)
     return metadata, difference
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """The exporter warns of packages that it does not need here."""
-    before = logging.root.manager.disable
-    logging.disable(logging.WARNING)
-    try:
-        yield
-    finally:
-        logging.disable(before)
 
 
 def _drawn(engine: BatchEngine, observes: str) -> NDArray[np.float32]:

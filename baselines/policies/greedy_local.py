@@ -1,10 +1,8 @@
 """The decentralised greedy policy: each robot acts on its observation, the map and its memory."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import shapely
@@ -73,7 +71,7 @@ class GreedyLocal(Braking, Policy):
             self._target[worlds], self._beliefs[worlds] = UNKNOWN, UNKNOWN
             self._swept[worlds], self._still[worlds] = False, 0
 
-    def of_robot(self, robot: int, robots: int) -> GreedyLocal:
+    def of_robot(self, robot: int, robots: int) -> Self:
         one = deepcopy(self)
         one._robots = np.array([robot])
         return one

@@ -97,12 +97,11 @@ class LoadedPolicy(Wrapped):
         most, size = self.fitted[1] or (MAX_ROBOTS, next(iter(rows.values())).size)
         index = {f"robot_{robot}": robot for robot in range(most)}
         wanted = f"{self._wanted()}, robot_0 to robot_{most - 1} ({size},) each"
-        problems = [
+        if problems := [
             f"{agent}: {wanted}, not {row.shape}"
             for agent, row in rows.items()
             if agent not in index or row.shape != (size,)
-        ]
-        if problems:
+        ]:
             raise ConfigError(self.name, problems)
         count = most if self.field else max(index[agent] for agent in rows) + 1
         seen = np.zeros((count, size), np.float32)

@@ -1,7 +1,5 @@
 """Policies that users write, named ``module:callable``."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import sys
@@ -68,7 +66,7 @@ class OwnPolicy(Policy):
             raise ConfigError(self._source, [problem])
         return actions
 
-    def of_robot(self, robot: int, robots: int) -> OwnPolicy:
+    def of_robot(self, robot: int, robots: int) -> "OwnPolicy":
         return OwnPolicy(*self._given)  # a copy of a function would share what it remembers
 
     def reset(self, worlds: np.ndarray | None = None) -> None:

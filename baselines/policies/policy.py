@@ -88,12 +88,11 @@ class Policy:
         ours, theirs = acts_on(*self.origin), acts_on(engine.sampler or engine.field, engine.config)
         may_differ = {"failures"} if ours["headings"] else {"failures", "headings"}
         compared = ("robots", "ROIs", "headings") if self.observes == "state" else ours
-        problems = [
+        if problems := [
             f"{name}: the policy was trained with {ours[name]}, here it is {theirs[name]}"
             for name in compared
             if name in theirs and ours[name] != theirs[name] and name not in may_differ
-        ]
-        if problems:
+        ]:
             place = "random fields" if engine.sampler is not None else engine.field.name
             raise ConfigError(f"policy in {place}", problems)
         if all(ours[name] == theirs[name] for name in may_differ):

@@ -1,7 +1,5 @@
 """Any policy behind the shield of :mod:`mbn_marl.planning.shield`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -41,12 +39,12 @@ class Shielded(Wrapped):
 
     # The shield sees the engine's true state, whatever the policy observes, except of robots that
     # act on their own knowledge. Of numbers that episodes draw it knows only their middles.
-    def __init__(self, policy: Policy, own: OwnShield | None = None) -> None:
+    def __init__(self, policy: Policy, own: "OwnShield | None" = None) -> None:
         super().__init__(policy)
         self._shields: dict[int, Shield] = {}
         self._own = own
 
-    def fit(self, engine: BatchEngine) -> Shielded:
+    def fit(self, engine: BatchEngine) -> "Shielded":
         from baselines.policies.braking import OwnShield
 
         problem = _problem_of(engine, 0)
@@ -76,7 +74,7 @@ class Shielded(Wrapped):
         super().reset(worlds)
 
 
-def _problem_of(engine: BatchEngine, world: int) -> Problem:
+def _problem_of(engine: BatchEngine, world: int) -> "Problem":
     from mbn_marl.planning.problem import make_problem
 
     team = {"n_robots": None if engine.teams_vary else engine.n_robots}

@@ -41,7 +41,6 @@ def claim_folder(path: Path, *, force: bool = False) -> Path:
     """Create the folder ``path``; ``force`` moves one that is there aside to ``<path>.1``, ..."""
     if path.exists() and not path.is_dir():
         raise RunError(f"{path} is a file; the output must be a folder")
-    check_text(str(path))
     if path.is_dir() and not is_untouched(path):
         if not force:
             raise RunError(
@@ -59,13 +58,6 @@ def is_untouched(path: Path) -> bool:
     """Return whether a folder has at most what a process leaves that is killed at its start."""
     names = [file.name for file in path.iterdir()]
     return all(name == LOCK or name.startswith(".config.json.") for name in names)
-
-
-def check_text(words: str) -> None:
-    try:
-        words.encode()
-    except UnicodeEncodeError:
-        raise RunError(f"{words!a} is not UTF-8; allowed: names in UTF-8") from None
 
 
 @contextmanager

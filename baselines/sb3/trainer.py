@@ -31,7 +31,6 @@ from baselines.training.config import Budget, Task
 from baselines.training.run_logger import ROW_STEPS, EpisodeWindow, Recorder
 from mbn_marl.adapters.sb3 import CentralizedVecEnv, NavigationVecEnv, SharedPolicyVecEnv
 from mbn_marl.config import make_config
-from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError, MbnError
 
 WORLDS, REPLAY, COUNTERS = "worlds.npz", "replay.npz", "counters.json"
@@ -124,31 +123,23 @@ class Learner:
     def __init__(self, task: Task, hyperparameters: SB3Config, episodes: EpisodeWindow) -> None:
         config = task.config
         self._algorithm, self._aids = config.algorithm, hyperparameters
-        self._worlds, env = make_env(task, hyperparameters, episodes)
-        self.stride = self._worlds.stride  # the library counts a step of each row
+        self.worlds, env = make_env(task, hyperparameters, episodes)
+        self.stride = self.worlds.stride  # the library counts a step of each row
         set_random_seed(config.seed, using_cuda=config.device == "cuda")
         env.action_space.seed(config.seed)
         kind: Any = algorithm_class(config.algorithm)
         self.model: Any = (ResumableARS if kind is ARS else kind)(
             hyperparameters.policy, env, device=config.device, **model_arguments(hyperparameters)
         )
-        self._worlds.every = getattr(self.model, "n_steps", 1)
-
-    @property
-    def engine(self) -> BatchEngine:
-        return self._worlds.venv.engine
+        self.worlds.every = getattr(self.model, "n_steps", 1)
 
     @property
     def env_steps(self) -> int:
         return int(self.model.num_timesteps) // self.stride
 
     @property
-    def curriculum(self) -> RoiCurriculum:
-        return self._worlds.curriculum
-
-    @property
     def diagnostics(self) -> dict[str, float]:
-        curriculum = self.curriculum
+        curriculum = self.worlds.curriculum
         return {"roi_radius": curriculum.radius} if curriculum.first > 1.0 else {}
 
     @property
@@ -165,7 +156,7 @@ class Learner:
             normalization.put_into(self.model.get_vec_normalize_env())
 
     def save(self, folder: Path) -> None:
-        model, worlds = self.model, self.engine.save_state()
+        model, worlds = self.model, self.worlds.venv.engine.save_state()
         seen = {name: array for name in SEEN if (array := getattr(model, name)) is not None}
         write_arrays(folder / WORLDS, {**worlds, **seen}, compress=True)
         if (buffer := getattr(model, "replay_buffer", None)) is not None:
@@ -180,7 +171,7 @@ class Learner:
             "ep_success_buffer": list(map(float, model.ep_success_buffer)),
             "actions": model.action_space.np_random.bit_generator.state,
             "generators": save_generators(),
-            "curriculum": asdict(self.curriculum),
+            "curriculum": asdict(self.worlds.curriculum),
         }
         write_json(folder / COUNTERS, counters)
 
@@ -188,14 +179,14 @@ class Learner:
         model, counters = self.model, read_json(checkpoint / COUNTERS)
         model._setup_learn(0)  # makes what is filled here
         self.begin_with(checkpoint / "policy")
-        self._worlds.begin(TypeAdapter(RoiCurriculum).validate_python(counters["curriculum"]))
+        self.worlds.begin(TypeAdapter(RoiCurriculum).validate_python(counters["curriculum"]))
         arrays = read_arrays(checkpoint / WORLDS)
         for name in SEEN:
             seen, own = arrays.pop(name, None), getattr(model, name)
             if getattr(seen, "shape", None) != getattr(own, "shape", None):
                 raise ValueError(f"{WORLDS}: {name} is of other worlds")
             setattr(model, name, seen)
-        self.engine.load_state(arrays)
+        self.worlds.venv.engine.load_state(arrays)
         if (buffer := getattr(model, "replay_buffer", None)) is not None:
             saved = read_arrays(checkpoint / REPLAY)
             for name, array in _transitions(buffer).items():
@@ -230,7 +221,8 @@ class Reporter(BaseCallback, KVWriter):
     def _on_rollout_start(self) -> None:
         self._report()
         learner = self._learner
-        self._ended = not self._recorder.has_more(learner.env_steps, begun=learner.curriculum.begun)
+        begun = learner.worlds.curriculum.begun
+        self._ended = not self._recorder.has_more(learner.env_steps, begun=begun)
         if self._recorder.checkpoint_due:
             self._recorder.save_checkpoint(learner.env_steps, learner.policy, learner.save)
 

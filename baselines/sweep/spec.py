@@ -8,18 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
 from baselines.algorithms import Setting, find_algorithm
+from baselines.training import config
 from baselines.training.aids import Count, NonNegative, Positive
-from baselines.training.config import (
-    ENVIRONMENT,
-    MOST_SEED,
-    TrainConfig,
-    default_label,
-    parse,
-    read_yaml,
-)
+from baselines.training.config import ENVIRONMENT, TrainConfig
 from baselines.training.train import found_anywhere, prepare, sizes
 from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, MbnError, ProblemsError
@@ -48,30 +42,26 @@ Algorithm = Annotated[str, _known(find_algorithm)]
 FieldName = Annotated[str, _known(load_field)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Budget(_Strict):
+class Budget(BaseModel, frozen=True, extra="forbid"):
     steps: Count | None = None
     evaluate_every: Count = 32_768
     episodes: Count = 100
 
 
-class Resources(_Strict):
+class Resources(BaseModel, frozen=True, extra="forbid"):
     cpus: Positive = 1.0
     gpus: NonNegative = 0.0
     retries: Annotated[int, Field(ge=0)] = 3
 
 
-class GridSpec(_Strict):
+class GridSpec(BaseModel, frozen=True, extra="forbid"):
     """The values of a grid's file; docs/grid.md explains the keys."""
 
     store: Annotated[Path, AfterValidator(_folder)]
     algorithms: Annotated[tuple[Algorithm, ...], *_Axis]
     fields: Annotated[tuple[FieldName, ...], *_Axis] = tuple(catalogue_names())
     settings: Annotated[tuple[Setting, ...], *_Axis] = ("N",)
-    seeds: Annotated[tuple[Annotated[int, Field(ge=0, le=MOST_SEED)], ...], *_Axis]
+    seeds: Annotated[tuple[Annotated[int, Field(ge=0, le=config.MOST_SEED)], ...], *_Axis]
     robots: Annotated[tuple[Count, ...], *_Axis] | None = None
     set: Mapping[str, Annotated[list[Any], *_Axis]] = Field(default_factory=dict)
     # The field whose run under A the runs under C begin with.
@@ -81,7 +71,7 @@ class GridSpec(_Strict):
 
 
 def read_spec(path: Path) -> GridSpec:
-    values = read_yaml(path)
+    values = config.read_yaml(path)
     try:
         return GridSpec.model_validate(values)
     except ValidationError as error:
@@ -161,7 +151,7 @@ def _runs(spec: GridSpec) -> Iterator[TrainConfig]:
                 seed,
                 transferred_from=source,
                 device=device,
-                label=default_label(algorithm, setting) + words if words else None,
+                label=config.default_label(algorithm, setting) + words if words else None,
                 **dict(spec.budget),
                 **changes,
             )
@@ -175,7 +165,7 @@ def _changes(spec: GridSpec) -> Iterator[tuple[str, dict[str, Any]]]:
     for values in itertools.product(*axes.values()):
         chosen = dict(zip(axes, values, strict=True))
         label = "".join(f"-{_in_words(name, value)}" for name, value in chosen.items())
-        changes = parse([f"{name}={json.dumps(value)}" for name, value in chosen.items()])
+        changes = config.parse([f"{name}={json.dumps(value)}" for name, value in chosen.items()])
         environment = changes.pop(ENVIRONMENT, {})
         yield label, {"environment": environment, "hyperparameters": changes}
 

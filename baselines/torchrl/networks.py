@@ -206,7 +206,6 @@ class TeamModule(TensorDictModuleBase):
         return torch.cat([normalized, self._extras.expand(*normalized.shape[:-1], -1)], -1)
 
     def make(self, kind: type[SetActor | SetCritic], *, team: bool) -> Any:
-        """Return networks over sets."""
         shape = self.shape
         assert shape.tokens is not None
         tokens = shape.tokens.wider(len(shape.extras[0])) if shape.extras else shape.tokens

@@ -1,7 +1,5 @@
 """A trained policy of a team: saved without pickle, loaded to act."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict

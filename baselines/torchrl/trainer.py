@@ -21,17 +21,11 @@ from baselines.policies.load import load_trained, open_run
 from baselines.runs import tensors
 from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
 from baselines.runs.folder import RunFolder, saved_at
+from baselines.torchrl import networks
 from baselines.torchrl.config import MultiAgentPPOConfig
 from baselines.torchrl.entities import Tokens
 from baselines.torchrl.memory import CHUNK
-from baselines.torchrl.networks import (
-    DISTRIBUTIONS,
-    GaussianPolicy,
-    Key,
-    Sharing,
-    TeamShape,
-    ValueNetwork,
-)
+from baselines.torchrl.networks import Key
 from baselines.torchrl.policy import TeamPolicy, is_shared
 from baselines.training.aids import STAGES, RoiCurriculum, between
 from baselines.training.config import Budget, Task
@@ -134,17 +128,17 @@ class Trainer:
         engine, sets = env.engine, config.network == "entities"
         self.tokens = Tokens.of(engine.observation_table) if sets else None
         shape = self._shape(config.sharing, engine)
-        self.network = GaussianPolicy(shape, config.log_std_start).to(env.device)
+        self.network = networks.GaussianPolicy(shape, config.log_std_start).to(env.device)
         shape = self._shape(config.critic_sharing or config.sharing, engine)
         state = engine.state_low.size, engine.n_rois
-        self.critic = ValueNetwork(shape, config.critic, state).to(env.device)
+        self.critic = networks.ValueNetwork(shape, config.critic, state).to(env.device)
         joint = config.actor == "centralized"
         self.works = (Key.MASK,) if joint and engine.may_rest else ()
         self.actor = ProbabilisticActor(
             self.network,
             in_keys=[Key.LOC, Key.SCALE, *self.works],
             out_keys=[Key.ACTION],
-            distribution_class=DISTRIBUTIONS[config.actor],
+            distribution_class=networks.DISTRIBUTIONS[config.actor],
             return_log_prob=True,
             log_prob_key=Key.LOG_PROB,
         )
@@ -170,9 +164,9 @@ class Trainer:
         self.optimizer = torch.optim.Adam(self.parameters, eps=config.adam_epsilon, fused=True)
         self._collect_from(env)
 
-    def _shape(self, sharing: Sharing, engine: BatchEngine) -> TeamShape:
+    def _shape(self, sharing: networks.Sharing, engine: BatchEngine) -> networks.TeamShape:
         config, n = self.config, engine.n_robots
-        shape = TeamShape(
+        shape = networks.TeamShape(
             *(engine.obs_size, n, config.hidden, sharing, config.actor, self.tokens, config.memory)
         )
         if sharing == "full+id":
@@ -362,8 +356,8 @@ class Trainer:
 
     def _restore(self, folder: Path) -> int:
         with reading(folder):
-            networks, state = self.loss.state_dict(), self.optimizer.state_dict()
-            self.loss.load_state_dict(tensors.read_tensors(folder / NETWORKS, networks))
+            weights, state = self.loss.state_dict(), self.optimizer.state_dict()
+            self.loss.load_state_dict(tensors.read_tensors(folder / NETWORKS, weights))
             moments = tensors.read_tensors(folder / OPTIMIZER)
             self.optimizer.load_state_dict(tensors.with_moments(state, moments))
             counters = read_json(folder / COUNTERS)

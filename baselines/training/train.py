@@ -12,7 +12,7 @@ import numpy as np
 from baselines.algorithms import find_algorithm
 from baselines.policies.load import CARD, PREFIX, open_run
 from baselines.policies.policy import acts_on
-from baselines.runs.files import RunError, alone, check_text, claim_folder, is_untouched
+from baselines.runs.files import RunError, alone, claim_folder, is_untouched
 from baselines.runs.folder import RunFolder
 from baselines.training.config import DivergenceError, Hyperparameters, Task, TrainConfig
 from baselines.training.run_logger import LEAST_STEPS, Listener, Recorder, find_wandb
@@ -47,11 +47,10 @@ def train(
         find_wandb()
     algorithm, (task, hyperparameters) = find_algorithm(config.algorithm), prepare(config)
     command = command or config.command
-    check_text(command)
     if resume := resume and not (out.is_dir() and is_untouched(out)):
         RunFolder.open(out)
     else:
-        algorithm.check(task, hyperparameters)
+        algorithm.trainer.check(task, hyperparameters)
         claim_folder(out, force=force)
     with _running(RunFolder(out)), alone(out, "mbn train"):
         begin = RunFolder.resume if resume else RunFolder.create
@@ -65,7 +64,7 @@ def train(
                     steps = -(-steps // (len(seeds) - recorder.learner))
                     part = replace(task, config=replace(config, steps=steps, seed=seed))
                     recorder.begin(part)
-                    algorithm.train(part, hyperparameters, recorder)
+                    algorithm.trainer.train(part, hyperparameters, recorder)
                 recorder.conclude()
             except ValueError as error:
                 if isinstance(error, MbnError) and not isinstance(error, ActionError):
@@ -88,7 +87,7 @@ def notes(config: TrainConfig) -> list[str]:
     ]
     count = len(seeds_of(config, hyperparameters))
     part = replace(task, config=replace(config, steps=-(-steps // count)))
-    budget = find_algorithm(name).budget(part, hyperparameters)
+    budget = find_algorithm(name).trainer.budget(part, hyperparameters)
     if (whole := budget.env_steps * count) > steps:
         bound = "" if budget.exact and count == 1 else "up to "
         lines.append(
@@ -215,12 +214,11 @@ def _check_source(source: RunFolder, task: Task, hyperparameters: Hyperparameter
             if theirs.get(name) == none:
                 asked.pop(name, None)
     compared |= {f"hyperparameters.{name}": (theirs.get(name), asked[name]) for name in asked}
-    problems = [
+    if problems := [
         f"{name}: the policy's run has {theirs}, this run {ours}"
         for name, (theirs, ours) in compared.items()
         if theirs != ours
-    ]
-    if problems:
+    ]:
         raise ConfigError(f"from: {source.path}", problems)
 
 

@@ -1,19 +1,16 @@
 """The comparisons of learning."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 from tyro.conf import Positional
 
 from baselines.cli.compare import WRITTEN, train_and_compare
-from baselines.cli.options import CORES
+from baselines.cli.options import CORES, OptionalOutput, Writes
 from baselines.compare.variants import CompareConfig, labelled
 from baselines.training.config import read_yaml, validate
-from benchmarks.report import Benchmark
 from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import catalogue_names
 
@@ -21,10 +18,8 @@ STUDIES = sorted(path.stem for path in Path(__file__).parent.glob("*.yaml"))
 STEPS = 1_441_792  # env-steps of a run
 
 
-class Plan(BaseModel):
+class Plan(BaseModel, frozen=True, extra="forbid"):
     """A study, as its YAML file in this folder has it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     fields: tuple[str, ...] = tuple(catalogue_names())
     tier: str | None = None  # of random fields
@@ -35,10 +30,8 @@ class Plan(BaseModel):
 
 
 @dataclass(frozen=True)
-class Study(Benchmark):
+class Study(Writes):
     """Train and compare the variants of a study, a YAML file in benchmarks/studies."""
-
-    name: ClassVar[str] = "study"
 
     study: Positional[str] = "forms"
     """The name of the file: forms, learning, aids and others."""
@@ -52,10 +45,8 @@ class Study(Benchmark):
     """Runs at a time, each on one core."""
     resume: bool = False
     """Resume what is in the folder, as `mbn compare` does."""
-
-    @property
-    def folder(self) -> Path:
-        return self.out or Path(f"runs/bench-{self.study}")
+    out: OptionalOutput = None
+    """The folder to write; by default runs/bench-STUDY."""
 
     def config(self) -> CompareConfig:
         if self.study not in STUDIES:
@@ -74,6 +65,7 @@ class Study(Benchmark):
 
     def run(self, command: str) -> bool:
         options = {name: getattr(self, name) for name in ("processes", "force", "resume")}
-        train_and_compare(self.config(), self.folder, command=command, **options)
-        print(f"written to {self.folder}: {WRITTEN}")
+        out = self.out or Path(f"runs/bench-{self.study}")
+        train_and_compare(self.config(), out, command=command, **options)
+        print(f"written to {out}: {WRITTEN}")
         return True

@@ -78,7 +78,7 @@ def test_tables_and_files_hold_the_numbers(tmp_path):
     assert lines[over_all + 1].endswith("80.0..80.0")
     behind = lines.index("mappo all D 1/2 0.0% 75.0% 75.0% 50.0% 112,500 0k")
     assert over_all < behind and lines[behind + 1].endswith("50.0..100.0 1 never")
-    encoded = json.loads(json.dumps(comparison.to_json(), allow_nan=False))
+    encoded = json.loads(json.dumps(vars(comparison), allow_nan=False))
     ends = [encoded["aggregates"][1][f"iqm{end}"] for end in ("", "_low", "_high")]
     assert ends == [0.75, 0.5, 1.0]
     assert sum(len(line.get_xdata()) for line in draw_gaps(comparison).axes[0].lines) == 4

@@ -372,7 +372,7 @@ def test_what_does_not_go_together_is_refused(algorithm, field, setting, changes
     config = TrainConfig(
         algorithm, field, setting, hyperparameters=changes, transferred_from=source
     )
-    check = find_algorithm(algorithm).check
+    check = find_algorithm(algorithm).trainer.check
     assert places_of(ConfigError, lambda: check(*prepare(config))) == named
 
 

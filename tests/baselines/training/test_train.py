@@ -56,7 +56,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(name, tmp_path, tiny_runs):
     (history,) = read_json(resumed.path / "resumed.json")
     assert 0 < history["env_steps"] < config.steps
     assert_equal(resumed, tiny_runs.finished(name))
-    budget = ALGORITHMS[name].budget(*prepare(config))
+    budget = ALGORITHMS[name].trainer.budget(*prepare(config))
     least = budget.env_steps if budget.exact else config.steps
     assert least <= resumed.evaluation["env_steps"] <= budget.env_steps
     if STAGES.items() <= config.hyperparameters.items():
