@@ -60,7 +60,7 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> None:
     from baselines.training.run_logger import progress_bars
 
     print(f"{len(config.runs())} runs of {config.steps:,} env-steps")
-    with progress_bars([run.name for run in config.runs()], config.steps) as show:
+    with progress_bars(config.runs()) as show:
         results = train_all_runs(config, out, listener=show, **options)
     print_comparison(write_comparison(results, Place(out / PAGE, out)), console())
     if results.broken:

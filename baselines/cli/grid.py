@@ -46,10 +46,11 @@ class Grid:
         with Progress(*columns, console=screen, disable=not screen.is_terminal) as bars:
             whole = bars.add_task("runs", total=len(runs), completed=len(runs) - len(left))
             running: dict[str, TaskID] = {}
+            steps = {run.name: run.steps for run in left}
 
             def show(report: Report) -> None:
                 if report.run not in running:
-                    running[report.run] = bars.add_task(report.run, total=left[0].steps)
+                    running[report.run] = bars.add_task(report.run, total=steps[report.run])
                 bars.update(running[report.run], completed=report.env_steps)
 
             def tell(outcome: Outcome) -> None:

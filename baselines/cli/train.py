@@ -51,7 +51,7 @@ class Train(Writes):
             print(line)
         out = self.out or Path("runs") / config.name
         how: dict[str, Any] = {n: getattr(self, n) for n in ("force", "resume", "wandb")}
-        with progress_bars([config.name], config.steps) as show:
+        with progress_bars([config]) as show:
             run = train(config, out, command=command_line, listener=show, **how)
         final = run.evaluation
         print_evaluations([final["stochastic"], final["deterministic"]], title=str(run.path))
@@ -126,7 +126,7 @@ class Transfer:
         if there and not self.resume:
             problem = "already exists; choose another --out, or pass --resume"
             raise RunError(f"{', '.join(there)} {problem}")
-        with progress_bars([run.name for run in runs], self.steps) as show:
+        with progress_bars(runs) as show:
             outcomes = train_runs(runs, self.out, engine, listener=show)
         if source.finished:
             print(f"from: {source.path}, {source.evaluation['env_steps']:,} env-steps")

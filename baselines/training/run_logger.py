@@ -24,7 +24,7 @@ from baselines.policies.load import load_trained
 from baselines.policies.policy import TrainedPolicy
 from baselines.runs.files import read_json, reading, write_json
 from baselines.runs.folder import RunFolder, saved_at
-from baselines.training.config import Task
+from baselines.training.config import Task, TrainConfig
 from mbn_marl.config import make_config
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import FieldSampler, load_split
@@ -71,7 +71,7 @@ Listener = Callable[[Report], None]
 
 
 @contextmanager
-def progress_bars(runs: Iterable[str], total: int) -> Iterator[Listener]:
+def progress_bars(runs: Iterable[TrainConfig]) -> Iterator[Listener]:
     # Without a terminal (in a log file) each finished run prints one line.
     screen = console()
     # The bar takes the room that the words leave, so that a narrow terminal cuts no number.
@@ -79,10 +79,11 @@ def progress_bars(runs: Iterable[str], total: int) -> Iterator[Listener]:
     name, state = TextColumn("{task.description}"), TextColumn("{task.fields[state]}")
     columns, quiet = (name, bar, TaskProgressColumn(), state), not screen.is_terminal
     with Progress(*columns, console=screen, disable=quiet, expand=True) as progress:
-        tasks = {run: progress.add_task(run, False, total, state="waiting") for run in runs}
+        add, total = progress.add_task, {run.name: run.steps for run in runs}
+        tasks = {run: add(run, False, steps, state="waiting") for run, steps in total.items()}
 
         def show(report: Report) -> None:
-            task, done = tasks[report.run], min(report.env_steps, total)
+            task, done = tasks[report.run], min(report.env_steps, total[report.run])
             progress.start_task(task)
             progress.update(task, completed=done, state=str(report))
             if report.finished or report.error is not None:

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -12,6 +13,7 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 import torch
+from rich.console import Console
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from baselines.algorithms import ALGORITHMS
@@ -297,3 +299,12 @@ def test_the_best_policy_on_the_way_is_kept_and_measured_again(best, tmp_path, m
     )
     others = (seen[number] for number in (1, 2, 3) if number != best)
     assert not any(torch.equal(seen[best]["log_std"], one["log_std"]) for one in others)
+
+
+def test_a_bar_of_progress_is_that_of_its_run(monkeypatch):
+    screen = Console(width=80, force_terminal=True, file=StringIO())
+    monkeypatch.setattr(recorder, "console", lambda: screen)
+    runs = [replace(SMALL, steps=steps, label=f"{steps}") for steps in (100, 200)]
+    with recorder.progress_bars(runs) as show:
+        show(Report(runs[1].name, 100))
+    assert " 50%" in screen.file.getvalue() and "100%" not in screen.file.getvalue()
