@@ -140,8 +140,11 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
         """
         numbers = real_numbers(action, self._action_shape)
         if numbers is None:
-            allowed = f"allowed: numbers of shape {self._action_shape}"
-            raise ActionError(f"action: {action!r:.80}; {allowed}")
+            given = f"{action!r:.80}"
+            if isinstance(action, np.ndarray):
+                given = f"{action.dtype} of shape {action.shape}"
+            allowed = f"numbers of shape {self._action_shape}"
+            raise ActionError(f"action: {given}; allowed: {allowed}")
         _, _, terminated, truncated = self._move(numbers.reshape(-1, 2))
         info = self._infos.of_team(terminated or truncated)
         return self.state(), float(self.engine.team_rewards[0]), terminated, truncated, info

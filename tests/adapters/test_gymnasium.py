@@ -75,7 +75,7 @@ class TestBadInput:
         env.step(np.full((3, 2), 0.5))
         before = env.engine.state()
         for action, place in (
-            (np.zeros((2, 2)), "action: "),
+            (np.zeros((2, 2)), r"action: float64 of shape \(2, 2\)"),
             ([[0.0, 0.0], [0.0, np.nan], [0.0, 0.0]], "robot_1"),
             ("north", "action: "),
             (np.ones(6, bool), "action: "),
