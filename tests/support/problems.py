@@ -1,4 +1,4 @@
-"""Where a refused call has its problems."""
+"""The places that the errors of refused calls name."""
 
 from collections.abc import Callable
 from typing import Any
