@@ -13,6 +13,14 @@ class MbnError(ValueError):
     """Base of all errors for bad input."""
 
 
+def check_text(words: str) -> None:
+    """Refuse what is not UTF-8, as Python holds it: in lone surrogates."""
+    try:
+        words.encode()
+    except UnicodeEncodeError:
+        raise MbnError(f"{words!a}: is not UTF-8; allowed: names in UTF-8") from None
+
+
 def unknown(kind: str, name: str, known: Iterable[str]) -> str:
     """Return a message about a name that is none of ``known``: similar names, and all."""
     names = list(known)

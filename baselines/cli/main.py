@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import Any
 
 from baselines.cli.options import read_options
-from mbn_marl.errors import MbnError, install, unknown
+from mbn_marl.errors import MbnError, check_text, install, unknown
 from mbn_marl.version import __version__
 
 COMMANDS = {
@@ -84,8 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def read_command(words: Sequence[str]) -> Any:
     name, *options = words
     for word in words:
-        if any("\ud800" <= letter <= "\udfff" for letter in word):  # as Python has other bytes
-            raise MbnError(f"{word!a}: is not UTF-8; allowed: names in UTF-8")
+        check_text(word)
     if name not in COMMANDS:
         raise MbnError(f"{name}: {unknown('command', name, COMMANDS)}")
     return read_options(_command(name), options, f"mbn {name}")

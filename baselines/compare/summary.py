@@ -178,9 +178,11 @@ def _pairs(results: Results, labels: Sequence[str]) -> list[Numbers]:
     p_values = [permutation_test(*both) for both in scores]
     return [
         {
-            **{"better": better, "worse": worse},
+            "better": better,
+            "worse": worse,
             **_named("difference", difference(*both)),
-            **{"p": p_value, "p_holm": corrected},
+            "p": p_value,
+            "p_holm": corrected,
             "detectable": detectable(both[0], both[1], len(p_values)),
         }
         for (better, worse), both, p_value, corrected in zip(

@@ -20,7 +20,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from mbn_marl.errors import MbnError
+from mbn_marl.errors import MbnError, check_text
 from mbn_marl.files import check_free, claim_file, free_name, replacing
 
 # Errors of drives without locks; for ``ENOSYS`` the library uses a file instead.
@@ -39,6 +39,7 @@ class RunError(MbnError):
 
 def claim_folder(path: Path, *, force: bool = False) -> Path:
     """Create the folder ``path``; ``force`` moves one that is there aside to ``<path>.1``, ..."""
+    check_text(str(path))
     if path.exists() and not path.is_dir():
         raise RunError(f"{path} is a file; the output must be a folder")
     if path.is_dir() and not is_untouched(path):

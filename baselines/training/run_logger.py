@@ -18,8 +18,14 @@ from rich.table import Column
 from torch.utils.tensorboard import SummaryWriter
 
 from baselines.console import console
-from baselines.evaluation import evaluate as evaluation
-from baselines.evaluation.evaluate import EVALUATION_SEED, Evaluation, evaluate
+from baselines.evaluation.evaluate import (
+    EVALUATION_SEED,
+    Evaluation,
+    Place,
+    evaluate,
+    is_one_episode,
+    unseen,
+)
 from baselines.policies.load import load_trained
 from baselines.policies.policy import TrainedPolicy
 from baselines.runs.files import read_json, reading, write_json
@@ -281,7 +287,7 @@ class Recorder:
     ) -> tuple[Evaluation, Evaluation]:
         task, several = self._task, times * self._task.config.episodes
         settings, tier = dict(task.settings), task.config.tier
-        place: evaluation.Place = evaluation.unseen(task.field, seed)
+        place: Place = unseen(task.field, seed)
         if tier is not None:
             split = "test" if times > 1 else "validation"
             if tier == SEARCH:
@@ -290,7 +296,7 @@ class Recorder:
             else:
                 place = load_split(split, tier)
             several = max(1, several // len(place))
-        drawn = not evaluation.is_one_episode(policy, settings, deterministic=True)
+        drawn = not is_one_episode(policy, settings, deterministic=True)
         drawn |= isinstance(place, FieldSampler)
         # Without random numbers all episodes with mean actions on a field are the same.
         sampled, mean = (

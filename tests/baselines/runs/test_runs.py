@@ -25,6 +25,7 @@ from baselines.runs.folder import RunFolder
 from baselines.runs.tensors import read_tensors, write_tensors
 from baselines.training.run_logger import BEST
 from baselines.training.train import train
+from mbn_marl.errors import MbnError
 from mbn_marl.field import load_field
 from tests.support.runs import small_config
 
@@ -47,6 +48,8 @@ def test_a_folder_is_claimed_without_loss(tmp_path):
     (folder / ".hidden").touch()
     with pytest.raises(RunError, match=str(folder)):
         claim_folder(folder)
+    with pytest.raises(MbnError, match="UTF-8"):
+        claim_folder(tmp_path / "\udcff")
     (tmp_path / "file").touch()
     with pytest.raises(RunError, match="file"):
         claim_folder(tmp_path / "file", force=True)
