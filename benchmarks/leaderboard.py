@@ -16,7 +16,7 @@ from mbn_marl.field import Instance
 SPLIT = "test"
 INTRODUCTION = """# Leaderboard
 
-Policies on the split `test` by protocol {version} of [the benchmark](../benchmark.md), which says
+Policies on the split `test` by protocol {version}. [The benchmark](../benchmark.md) says
 what the columns are and how to enter one. `python -m benchmarks leaderboard` makes this page of
 `docs/results/leaderboard/*.json`, which have the other columns too. SPL orders the tables; success,
 then makespan, order those of `5-weather`, which has no bounds. *Information* is

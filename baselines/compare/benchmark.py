@@ -178,6 +178,8 @@ def _resumed(path: Path, new: Mapping[str, Any], asked: Mapping[str, Any]) -> di
         ours, theirs = (one["versions"]["packages"]["mbn-marl"] for one in (new, record))
         parts = {"misfit", "instances"}
         damaged = [tier for tier, one in record["tiers"].items() if not parts <= one.keys()]
+        if not damaged:
+            summaries(record["tiers"])  # a damaged row raises
     except RunError as error:
         raise RunError(f"{error}; {FORCE_HINT}") from None
     except (KeyError, TypeError, AttributeError):

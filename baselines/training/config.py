@@ -5,6 +5,7 @@ import json
 import re
 import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, cast
@@ -245,10 +246,10 @@ def words_of(values: Mapping[str, Any]) -> list[str]:
 
 
 def _value(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError:
-        return text
+    for read in (json.loads, float):  # inf and nan are numbers, but no JSON
+        with suppress(ValueError):
+            return read(text)
+    return text
 
 
 class Budget(NamedTuple):

@@ -7,7 +7,7 @@ from typing import Any
 from baselines.evaluation.evaluate import EVALUATION_SEED, evaluate_both, unseen
 from baselines.policies.load import CARD, load_trained
 from baselines.policies.shielded import information_of
-from baselines.runs.files import RunError, read_json, replacing_folder, write_json
+from baselines.runs.files import RunError, read_json, reading, replacing_folder, write_json
 from baselines.runs.folder import RunFolder
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import catalogue_names, sampler_names, save_field
@@ -47,14 +47,15 @@ def make_entry(run: RunFolder, path: Path, *, force: bool = False) -> dict[str, 
 def make_card(run: RunFolder, name: str) -> dict[str, Any]:
     """Evaluate a run's policy; return how it was trained and what it does, as JSON values."""
     config, trained = run.config, run.evaluation
+    with reading(run.path / "evaluation.json"):
+        budget = {key: trained[key] for key in ("env_steps", "seconds")}
     fields = unseen(run.fields, EVALUATION_SEED)
     where = load_trained(run), fields, config["environment"]
     evaluations = evaluate_both(*where, episodes=EPISODES, seed=EVALUATION_SEED)
     return {
         "name": name,
         **{key: config[key] for key in ("algorithm", "setting", "field", "seed")},
-        "env_steps": trained["env_steps"],
-        "seconds": trained["seconds"],
+        **budget,
         "command": plain_command(run.command),
         "versions": read_json(run.path / "versions.json"),
         "information": information_of(where[0], where[2], run),

@@ -1,5 +1,7 @@
 """Variants of algorithms: from the command line, from a file, and as overrides."""
 
+import math
+
 import pytest
 
 from baselines.algorithms import find_algorithm
@@ -16,7 +18,7 @@ AIDS = TrainingAids.model_fields.keys() - Hyperparameters.model_fields.keys()
 
 def test_overrides_are_read_and_written():
     words = ["sharing=full+id", "model.gamma=0.9", "model.net=[8, 8]", "environment.wind=[0.1, 30]"]
-    values = parse([*words, "rate=1e-05", 'name="3"', "on=true"])
+    values = parse([*words, "rate=1e-05", 'name="3"', "on=true", "far=inf"])
     assert values == {
         "sharing": "full+id",
         "model": {"gamma": 0.9, "net": [8, 8]},
@@ -24,6 +26,7 @@ def test_overrides_are_read_and_written():
         "rate": 1e-5,
         "name": "3",
         "on": True,
+        "far": math.inf,
     }
     assert parse(words_of(values)) == values
     drawn = {"environment": {"mass": Uniform(1.0, 2.0)}}

@@ -104,6 +104,8 @@ def test_what_makes_no_entry(run, tmp_path, refusal):
     evaluation = (run.path / "evaluation.json").read_bytes()
     (run.path / "evaluation.json").unlink()
     refused(str(run.path))
+    write_json(run.path / "evaluation.json", {})
+    refused("evaluation.json")
     (run.path / "evaluation.json").write_bytes(evaluation)
     save_field(load_field("field_03"), tmp_path / "mine.yaml")
     write_json(run.path / "config.json", {**config, "field": str(tmp_path / "mine.yaml")})
