@@ -18,6 +18,8 @@ from mbn_marl.optimum import VIEW, optimal_makespan
 
 # Seed of the evaluation episodes, the same for every run; those of training are others.
 EVALUATION_SEED = 1_000_003
+# Of a run at most; each has the next seed.
+EVALUATIONS = 1_000_000
 # The lists of an evaluation, and the engine's metrics in them.
 LISTS = {
     "returns": "episode_return",

@@ -81,13 +81,15 @@ class LoadedPolicy(Wrapped):
 
     def act_in(self, world: Any, observations: Any, *, deterministic: bool = True) -> Any:
         """Act as :meth:`act`, in an engine or an environment that has shown ``observations``."""
-        if self.observes == "state" and isinstance(observations, Mapping):
+        if isinstance(observations, Mapping):
+            if self.observes != "state":
+                return self._act_by_name(observations, deterministic, len(world.possible_agents))
             actions = self.act(world.state(), deterministic)
             return {agent: actions[int(agent.removeprefix("robot_"))] for agent in observations}
         return super().act_in(world, observations, deterministic=deterministic)
 
     def _act_by_name(
-        self, observations: Mapping[str, ArrayLike], deterministic: bool
+        self, observations: Mapping[str, ArrayLike], deterministic: bool, team: int | None = None
     ) -> dict[str, NDArray[np.float32]]:
         if self.observes == "state":
             raise ConfigError(self.name, [f"{self._wanted()}, not a dictionary"])
@@ -103,7 +105,7 @@ class LoadedPolicy(Wrapped):
             if agent not in index or row.shape != (size,)
         ]:
             raise ConfigError(self.name, problems)
-        count = most if self.field else max(index[agent] for agent in rows) + 1
+        count = most if self.field else team or max(index[agent] for agent in rows) + 1
         seen = np.zeros((count, size), np.float32)
         for agent, row in rows.items():
             seen[index[agent]] = row

@@ -17,6 +17,7 @@ from torch import nn
 from baselines.torchrl.memory import Memory, Past
 from mbn_marl.engine.mdp.entities import SCALES
 from mbn_marl.engine.mdp.observations import Entry
+from mbn_marl.errors import ConfigError
 
 NEAR, FAR = SCALES.tolist()
 # Added to the square of a length, units, so that none is 0.
@@ -46,6 +47,10 @@ class Tokens:
         """Return the tokens of rows (B, size) for n robots: (B, own), (B, n - 1, .), (B, m, .)."""
         own, robots = len(self.own), (n - 1) * len(self.robot)
         rois = rows.shape[-1] - own - robots
+        if rois < 0 or rois % len(self.roi):
+            sizes = f"{own} + {len(self.robot)} (n - 1) + {len(self.roi)} m"
+            problem = f"observations: {rows.shape[-1]} entries for {n} robots; allowed: {sizes}"
+            raise ConfigError("policy", [f"{problem}, for m ROIs"])
         parts = torch.split(rows, [own, robots, rois], -1)
         return (
             parts[0],

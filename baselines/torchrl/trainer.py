@@ -91,9 +91,12 @@ def check(task: Task, hyperparameters: MultiAgentPPOConfig) -> None:
     largest = RoiCurriculum(hyperparameters.roi_radius, window=1)
     training = hyperparameters.in_training(task, largest, 1)
     with collecting(problems):
-        BatchEngine(**{**training, "field": task.field}, num_worlds=1)
+        engine = BatchEngine(**{**training, "field": task.field}, num_worlds=1)
     if problems:
         raise ConfigError("training", problems)
+    if (begun_with := task.config.transferred_from) is not None:
+        ours = shape_of(task, hyperparameters, hyperparameters.sharing, engine)
+        check_source(open_run(str(begun_with)), ours)
 
 
 def traits_of(config: NavigationConfig, n: int, kinds: Sequence[int]) -> list[tuple[float, ...]]:
@@ -106,6 +109,46 @@ def traits_of(config: NavigationConfig, n: int, kinds: Sequence[int]) -> list[tu
         flags += [kind == one for one in sorted(set(kinds))]
         traits.append((*numbers, *map(float, flags)))
     return traits
+
+
+def shape_of(
+    task: Task, config: MultiAgentPPOConfig, sharing: networks.Sharing, engine: BatchEngine
+) -> networks.TeamShape:
+    tokens = Tokens.of(engine.observation_table) if config.network == "entities" else None
+    n = engine.n_robots
+    shape = networks.TeamShape(
+        *(engine.obs_size, n, config.hidden, sharing, config.actor, tokens, config.memory)
+    )
+    if sharing == "full+id":
+        return replace(shape, extras=tuple(map(tuple, torch.eye(n).tolist())))
+    if sharing in ("none", "full"):
+        return shape
+    traits = traits_of(engine.config, n, getattr(task.field, "start_kinds", ()))
+    if sharing == "full+traits":
+        return replace(shape, extras=tuple(traits))
+    alike = [*dict.fromkeys(traits)]
+    return replace(shape, groups=tuple(map(alike.index, traits)))
+
+
+def check_source(source: RunFolder, ours: networks.TeamShape) -> None:
+    """Raise a ConfigError if a run's networks are not those of robots of this team."""
+    policy: Any = load_trained(source)
+    theirs: networks.TeamShape = policy.network.shape
+    extras = (len(shape.extras[0]) if shape.extras else 0 for shape in (theirs, ours))
+    compared = {
+        "groups": (theirs.groups, ours.groups),
+        "ids or traits": tuple(extras),
+    }
+    if theirs.of_one_team or ours.of_one_team:
+        compared["robots"] = theirs.n_robots, ours.n_robots
+    if max(*theirs.of, *ours.of) > 0:
+        compared["actor"] = theirs.actor, ours.actor
+    if problems := [
+        f"{name}: the policy has {theirs}, this run {ours}"
+        for name, (theirs, ours) in compared.items()
+        if theirs != ours
+    ]:
+        raise ConfigError(f"from: {source.path}", problems)
 
 
 def budget(task: Task, hyperparameters: MultiAgentPPOConfig) -> Budget:
@@ -125,12 +168,12 @@ class Trainer:
         # The env-steps at which ROIs last were too large.
         self.grown = 0
         env = self._make_env()
-        engine, sets = env.engine, config.network == "entities"
-        self.tokens = Tokens.of(engine.observation_table) if sets else None
-        shape = self._shape(config.sharing, engine)
+        engine = env.engine
+        shape = shape_of(task, config, config.sharing, engine)
         self.network = networks.GaussianPolicy(shape, config.log_std_start).to(env.device)
-        shape = self._shape(config.critic_sharing or config.sharing, engine)
+        shape = shape_of(task, config, config.critic_sharing or config.sharing, engine)
         state = engine.state_low.size, engine.n_rois
+        self.tokens = shape.tokens
         self.critic = networks.ValueNetwork(shape, config.critic, state).to(env.device)
         joint = config.actor == "centralized"
         self.works = (Key.MASK,) if joint and engine.may_rest else ()
@@ -163,21 +206,6 @@ class Trainer:
         self.parameters = list(self.loss.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, eps=config.adam_epsilon, fused=True)
         self._collect_from(env)
-
-    def _shape(self, sharing: networks.Sharing, engine: BatchEngine) -> networks.TeamShape:
-        config, n = self.config, engine.n_robots
-        shape = networks.TeamShape(
-            *(engine.obs_size, n, config.hidden, sharing, config.actor, self.tokens, config.memory)
-        )
-        if sharing == "full+id":
-            return replace(shape, extras=tuple(map(tuple, torch.eye(n).tolist())))
-        if sharing in ("none", "full"):
-            return shape
-        traits = traits_of(engine.config, n, getattr(self.task.field, "start_kinds", ()))
-        if sharing == "full+traits":
-            return replace(shape, extras=tuple(traits))
-        alike = [*dict.fromkeys(traits)]
-        return replace(shape, groups=tuple(map(alike.index, traits)))
 
     def _make_env(self, **changed: Any) -> NavigationEnv:
         config, worlds = self.task.config, self.config.num_worlds
@@ -249,7 +277,7 @@ class Trainer:
                 save = partial(self._save, env_steps)
                 self.recorder.save_checkpoint(env_steps, policy, save)
         self.network.amplify(config.final_gain)
-        self.recorder.finish(env_steps, policy)
+        self.recorder.finish(env_steps, policy, changed=config.final_gain != 1.0)
 
     def _begin_with(self, source: RunFolder) -> None:
         # The noise, and the memory if the source has none, are as in a new run.

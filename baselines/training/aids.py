@@ -89,7 +89,8 @@ class TrainingAids(Hyperparameters):
 
     def in_training(self, task: Task, curriculum: RoiCurriculum, worlds: int) -> dict[str, Any]:
         """The environment's arguments in training: ``field``, one for all worlds or one each."""
-        true, radius, field = make_config(task.settings), curriculum.radius, task.field
+        field = task.field_of(curriculum.seed(task.config.seed))
+        true, radius = make_config(task.settings), curriculum.radius
         longest = min(true.max_steps, self.episode_steps or true.max_steps)
         changed: dict[str, Any] = {"field": field, "max_steps": longest}
         changed["roi_radius"] = (

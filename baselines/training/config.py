@@ -265,3 +265,10 @@ class Task:
     field: Field | FieldSampler
     # Keyword arguments of the environment: the algorithm's own and the request's.
     settings: Mapping[str, Any]
+
+    def field_of(self, seed: int) -> Field | FieldSampler:
+        """Return the field, or the random fields of a run with another seed."""
+        if isinstance(self.field, Field):
+            return self.field
+        number = (self.field.seed + seed - self.config.seed) % 2**63
+        return self.field.model_copy(update={"seed": number})

@@ -243,12 +243,12 @@ class Recorder:
         self._saved_at = self._seconds
         self.start()
 
-    def finish(self, env_steps: int, policy: TrainedPolicy) -> None:
-        """Record the end of a learner."""
+    def finish(self, env_steps: int, policy: TrainedPolicy, *, changed: bool = False) -> None:
+        """Record the end of a learner, whose policy may have changed since the last update."""
         self.began += env_steps
         if self.began > self._last_row:
             self._write_row(self.began)
-        if not self._evaluations or self._evaluations[-1]["env_steps"] < self.began:
+        if changed or not self._evaluations or self._evaluations[-1]["env_steps"] < self.began:
             self._evaluate_on_the_way(self.began, policy)
         self.checkpoint, self.learner = None, self.learner + 1
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from baselines.algorithms import find_algorithm
+from baselines.evaluation.evaluate import EVALUATION_SEED, EVALUATIONS
 from baselines.policies.load import CARD, PREFIX, open_run
 from baselines.policies.policy import acts_on
 from baselines.runs.files import RunError, alone, claim_folder, is_untouched
@@ -62,7 +63,8 @@ def train(
                 while recorder.learner < len(seeds) and recorder.left > 0:
                     seed, steps = seeds[recorder.learner], recorder.left
                     steps = -(-steps // (len(seeds) - recorder.learner))
-                    part = replace(task, config=replace(config, steps=steps, seed=seed))
+                    own = replace(config, steps=steps, seed=seed)
+                    part = replace(task, config=own, field=task.field_of(seed))
                     recorder.begin(part)
                     algorithm.trainer.train(part, hyperparameters, recorder)
                 recorder.conclude()
@@ -138,6 +140,11 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
             raise ConfigError("training", [problem])
         # Runs with other seeds train on other fields.
         fields = fields.model_copy(update={"seed": (fields.seed + config.seed) % 2**63})
+        last = EVALUATION_SEED + EVALUATIONS
+        if EVALUATION_SEED <= fields.seed < last:
+            kept = f"{EVALUATION_SEED:,} to {last - 1:,} are of evaluations"
+            problem = f"seed: {config.seed} gives the fields of {fields.seed:,}; {kept}"
+            raise ConfigError("training", [problem])
     elif config.tier is not None:
         raise ConfigError("training", [f"tier: {config.tier}; allowed on random fields"])
     BatchEngine(fields, 1, **settings)  # raises where field, team and settings do not fit

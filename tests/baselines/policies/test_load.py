@@ -17,6 +17,7 @@ from baselines.runs.files import RunError
 from mbn_marl import BatchEngine, Field, Uniform, load_field, parallel_env
 from mbn_marl.config import CONDITIONS, make_config
 from mbn_marl.errors import ConfigError, MbnError
+from mbn_marl.field import load_fields
 from tests.support.problems import places_of
 
 LIDAR = {"observation": "lidar"}
@@ -81,6 +82,24 @@ def test_a_policy_of_the_zoo_acts_as_in_an_evaluation():
         np.testing.assert_array_equal(last["robot_2"], taken[2])
         seen, *_ = env.step(actions)
     assert not env.agents and policy.act({}) == {}
+
+
+def test_a_policy_of_any_field_acts_for_the_robots_that_are_there():
+    policy = load_policy("zoo:generalist-hint")
+    env = parallel_env(load_fields("random_convex"), **policy.settings)
+    most = env.possible_agents
+    seeds = iter(range(50))
+    seen, _ = env.reset(seed=next(seeds))
+    while most[-1] in seen:
+        seen, _ = env.reset(seed=next(seeds))
+    rows = np.array([seen.get(agent, np.zeros_like(seen["robot_0"])) for agent in most])
+    wanted = policy.act(rows)
+    actions = policy.act_in(env, seen)
+    assert actions.keys() == seen.keys()
+    for agent, action in actions.items():
+        np.testing.assert_array_equal(action, wanted[most.index(agent)])
+    with pytest.raises(ConfigError, match="observations: "):
+        policy.act(seen)
 
 
 @pytest.mark.parametrize("name", ["greedy", "planner"])

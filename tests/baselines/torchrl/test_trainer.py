@@ -17,7 +17,7 @@ from baselines.evaluation.evaluate import bound_of, evaluate, unseen
 from baselines.torchrl import trainer
 from baselines.torchrl.config import load
 from baselines.torchrl.entities import SetActor, SetCritic, Tokens
-from baselines.torchrl.networks import Key
+from baselines.torchrl.networks import Key, TeamShape
 from baselines.torchrl.trainer import Trainer, traits_of
 from baselines.training import run_logger
 from baselines.training.config import TrainConfig
@@ -303,7 +303,7 @@ def test_the_critic_begins_with_the_actors_encoder_and_learns_first():
         checkpoint_due=False,
         episodes=SimpleNamespace(add=lambda *values: None),
         has_more=lambda env_steps, begun: env_steps < 96,
-        **{name: lambda *values: None for name in ("start", "update", "finish")},
+        **{name: lambda *values, **how: None for name in ("start", "update", "finish")},
     )
     watched = Watched(task, found, recorder)
     watched.run()
@@ -374,6 +374,32 @@ def test_what_does_not_go_together_is_refused(algorithm, field, setting, changes
     )
     check = find_algorithm(algorithm).trainer.check
     assert places_of(ConfigError, lambda: check(*prepare(config))) == named
+
+
+MLP = TeamShape(55, 3, (8,), "groups", "decentralized", groups=(0, 0, 1))
+SETS = TeamShape(30, 3, (8, 8), "none", "decentralized", Tokens(("x",), ("y",), ("z",)))
+IDS = replace(SETS, sharing="full+id", extras=((1.0, 0.0, 0.0),) * 3)
+
+
+@pytest.mark.parametrize(
+    ("theirs", "ours", "named"),
+    [
+        (MLP, MLP, []),
+        (MLP, replace(MLP, groups=(0, 1, 1)), ["groups"]),
+        (SETS, replace(SETS, n_robots=2), ["robots"]),
+        (IDS, replace(IDS, n_robots=2, extras=((1.0, 0.0),) * 2), ["ids or traits", "robots"]),
+        (SETS, replace(SETS, actor="centralized"), ["actor"]),
+        (replace(SETS, sharing="full"), replace(SETS, sharing="full", n_robots=2), []),
+    ],
+)
+def test_a_run_begins_only_with_networks_of_the_same_team(theirs, ours, named, monkeypatch):
+    policy = SimpleNamespace(network=SimpleNamespace(shape=theirs))
+    monkeypatch.setattr(trainer, "load_trained", lambda source: policy)
+    source = SimpleNamespace(path="there")
+    if named:
+        assert places_of(ConfigError, trainer.check_source, source, ours) == named
+    else:
+        trainer.check_source(source, ours)
 
 
 @pytest.mark.parametrize("terminated", [True, False])

@@ -1,14 +1,19 @@
 """Training aids: other starts, shorter episodes, when ROIs shrink and grow."""
 
+import dataclasses
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 import pytest
 
+from baselines.evaluation.evaluate import EVALUATION_SEED, EVALUATIONS
 from baselines.training import aids as module
 from baselines.training.aids import RoiCurriculum, TrainingAids, with_other_starts
 from baselines.training.config import Task, TrainConfig
+from baselines.training.train import prepare
 from mbn_marl import Failures
+from mbn_marl.errors import ConfigError
 from mbn_marl.field import load_field
 
 FIELD = load_field("field_02")
@@ -50,6 +55,21 @@ def test_robots_are_scattered_until_rois_have_their_true_size():
     curriculum.stage = 10
     assert aids.in_training(task, curriculum, 8)["field"] == FIELD
     assert with_other_starts(FIELD, 500.0, np.random.default_rng(0)) is FIELD  # crowded
+
+
+def test_random_fields_are_others_for_each_learner_and_size_of_rois_and_in_evaluations():
+    config = TrainConfig("mappo", "random_convex", "G", seed=3)
+    task, aids = prepare(config)
+    curriculum = RoiCurriculum(4.0, window=4)
+    assert aids.in_training(task, curriculum, 4)["field"] == task.field
+    curriculum.moves = 1
+    moved = aids.in_training(task, curriculum, 4)["field"]
+    assert moved == task.field.model_copy(update={"seed": moved.seed}) != task.field
+    assert task.field_of(7) == prepare(dataclasses.replace(config, seed=7))[0].field
+    for seed, fits in ((-1, True), (0, False), (EVALUATIONS - 1, False), (EVALUATIONS, True)):
+        asked = dataclasses.replace(config, seed=EVALUATION_SEED + seed)
+        with nullcontext() if fits else pytest.raises(ConfigError, match="seed: "):
+            prepare(asked)
 
 
 def test_rois_shrink_when_the_team_succeeds_and_grow_when_it_fails(monkeypatch):

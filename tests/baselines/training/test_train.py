@@ -276,6 +276,34 @@ def test_a_run_of_two_learners_resumes_in_the_second(name, tmp_path, monkeypatch
         assert len(learners) == count
 
 
+def test_the_last_policy_of_each_learner_is_measured_with_its_gain(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder, "ROW_STEPS", 1)
+    for module in ("train", "run_logger"):
+        monkeypatch.setattr(f"baselines.training.{module}.LEAST_STEPS", 128)
+    seen = []
+
+    def perfect(policy: Any, *place: Any, **how: Any) -> Evaluation:
+        if not how["deterministic"]:
+            seen.append({name: one.clone() for name, one in policy.network.state_dict().items()})
+        found = evaluate(policy, *place, **how)
+        won = how["seed"] - EVALUATION_SEED >= 4  # after the first learner's half of the budget
+        return replace(found, successes=[won] * len(found.returns))
+
+    monkeypatch.setattr(recorder, "evaluate", perfect)
+    config = small_config("mappo")
+    more = {**config.hyperparameters, "roi_radius": 1.0, "scattered": 0.0}
+    more |= {"learners": 2, "final_gain": 3.0}
+    asked = replace(config, evaluate_every=64, hyperparameters=more)
+    run = train(asked, tmp_path / "run")
+    steps = [entry["env_steps"] for entry in run.evaluations]
+    assert steps[:5] == [64, 128, 192, 256, 256]
+    before, after = seen[3:5]
+    changed = [name for name in before if not torch.equal(before[name], after[name])]
+    assert len(changed) == 2  # weights and biases of the last layer
+    for name in changed:
+        torch.testing.assert_close(after[name], 3.0 * before[name])
+
+
 @pytest.mark.parametrize("best", [1, 2, 3])
 def test_the_best_policy_on_the_way_is_kept_and_measured_again(best, tmp_path, monkeypatch):
     seen = {}
