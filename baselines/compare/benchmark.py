@@ -176,10 +176,7 @@ def _resumed(path: Path, new: Mapping[str, Any], asked: Mapping[str, Any]) -> di
     try:
         record: dict[str, Any] = read_json(path)
         ours, theirs = (one["versions"]["packages"]["mbn-marl"] for one in (new, record))
-        parts = {"misfit", "instances"}
-        damaged = [tier for tier, one in record["tiers"].items() if not parts <= one.keys()]
-        if not damaged:
-            summaries(record["tiers"])  # a damaged row raises
+        damaged = [tier for tier, one in record["tiers"].items() if _is_damaged(tier, one)]
     except RunError as error:
         raise RunError(f"{error}; {FORCE_HINT}") from None
     except (KeyError, TypeError, AttributeError):
@@ -189,6 +186,14 @@ def _resumed(path: Path, new: Mapping[str, Any], asked: Mapping[str, Any]) -> di
     if problems:
         raise RunError(f"{path}: {'; '.join(problems)}; {FORCE_HINT}")
     return record
+
+
+def _is_damaged(tier: str, one: Mapping[str, Any]) -> bool:
+    try:
+        summaries({tier: {name: one[name] for name in ("misfit", "instances")}})
+    except (KeyError, TypeError, AttributeError, ValueError):
+        return True
+    return False
 
 
 def _run_tier(

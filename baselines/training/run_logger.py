@@ -248,7 +248,10 @@ class Recorder:
         self.began += env_steps
         if self.began > self._last_row:
             self._write_row(self.began)
-        if changed or not self._evaluations or self._evaluations[-1]["env_steps"] < self.began:
+        last = self._evaluations[-1]["env_steps"] if self._evaluations else 0
+        if changed and last == self.began:
+            self._evaluations.pop()
+        if changed or last < self.began:
             self._evaluate_on_the_way(self.began, policy)
         self.checkpoint, self.learner = None, self.learner + 1
 

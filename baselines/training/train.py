@@ -140,15 +140,15 @@ def prepare(config: TrainConfig) -> tuple[Task, Hyperparameters]:
             raise ConfigError("training", [problem])
         # Runs with other seeds train on other fields.
         fields = fields.model_copy(update={"seed": (fields.seed + config.seed) % 2**63})
-        last = EVALUATION_SEED + EVALUATIONS
-        if EVALUATION_SEED <= fields.seed < last:
-            kept = f"{EVALUATION_SEED:,} to {last - 1:,} are of evaluations"
-            problem = f"seed: {config.seed} gives the fields of {fields.seed:,}; {kept}"
-            raise ConfigError("training", [problem])
     elif config.tier is not None:
         raise ConfigError("training", [f"tier: {config.tier}; allowed on random fields"])
     BatchEngine(fields, 1, **settings)  # raises where field, team and settings do not fit
     task = Task(config, fields, settings)
+    first, last = EVALUATION_SEED, EVALUATION_SEED + EVALUATIONS - 1
+    for one in map(task.field_of, seeds_of(config, hyperparameters)):
+        if isinstance(one, FieldSampler) and first <= one.seed <= last:
+            problem = f"seed: {config.seed} gives fields of evaluations, {first:,} to {last:,}"
+            raise ConfigError("training", [f"{problem}; allowed: another"])
     if config.transferred_from is not None:
         _check_source(open_run(str(config.transferred_from)), task, hyperparameters)
     return task, hyperparameters

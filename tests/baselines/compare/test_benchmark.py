@@ -211,7 +211,8 @@ def test_an_interrupted_run_goes_on_and_gives_the_same(tmp_path, monkeypatch):
     [
         ("{", "result.json"),
         ({"tiers": {"1-convex": {}}}, "1-convex: "),
-        ({"tiers": {"1-convex": {"misfit": None, "instances": [{}]}}}, "result.json"),
+        ({"tiers": {"1-convex": {"misfit": None, "instances": [{}]}}}, "1-convex: "),
+        ({"tiers": {"1-convex": {"misfit": None, "instances": [{"mean": "x"}]}}}, "1-convex: "),
         ({"versions": {"packages": {"mbn-marl": "0.0.1"}}}, "mbn-marl: "),
         ({"shield": True}, "shield: "),
     ],

@@ -402,6 +402,36 @@ def test_a_run_begins_only_with_networks_of_the_same_team(theirs, ours, named, m
         trainer.check_source(source, ours)
 
 
+def test_the_networks_are_checked_before_a_run_begins(monkeypatch):
+    policy = SimpleNamespace(network=SimpleNamespace(shape=replace(SETS, n_robots=2)))
+    monkeypatch.setattr(trainer, "load_trained", lambda source: policy)
+    config = TrainConfig("mappo", "field_03", "G", transferred_from=Path("zoo:generalist"))
+    assert places_of(ConfigError, lambda: trainer.check(*prepare(config))) == ["robots"]
+
+
+def test_each_learner_has_other_random_fields(tmp_path, monkeypatch):
+    parts = []
+
+    class Recorder:
+        learner, left = 0, 1000
+
+        def __init__(self, *asked: Any) -> None:
+            self.conclude = lambda: None
+
+        def begin(self, part: Any) -> None:
+            parts.append(part)
+            self.learner += 1
+
+    monkeypatch.setattr("baselines.training.train.Recorder", Recorder)
+    monkeypatch.setattr("baselines.training.train.LEAST_STEPS", 500)
+    monkeypatch.setattr(trainer, "train", lambda *asked: None)
+    small = {"learners": 2}
+    config = TrainConfig("mappo", "random_convex", "G", steps=1000, hyperparameters=small)
+    train(config, tmp_path / "run")
+    seeds = [part.config.seed for part in parts]
+    assert len(set(seeds)) == 2 and [part.field.seed for part in parts] == seeds
+
+
 @pytest.mark.parametrize("terminated", [True, False])
 def test_shaping_is_the_discounted_difference_of_the_ways_left(terminated):
     def seen(ways: list[float]) -> torch.Tensor:
