@@ -19,7 +19,14 @@ from torchrl.objectives.value import MultiAgentGAE
 
 from baselines.policies.load import load_trained, open_run
 from baselines.runs import tensors
-from baselines.runs.files import read_arrays, read_json, reading, write_arrays, write_json
+from baselines.runs.files import (
+    differences,
+    read_arrays,
+    read_json,
+    reading,
+    write_arrays,
+    write_json,
+)
 from baselines.runs.folder import RunFolder, saved_at
 from baselines.torchrl import networks
 from baselines.torchrl.config import MultiAgentPPOConfig
@@ -133,21 +140,19 @@ def shape_of(
 def check_source(source: RunFolder, ours: networks.TeamShape) -> None:
     """Raise a ConfigError if a run's networks are not those of robots of this team."""
     policy: Any = load_trained(source)
-    theirs: networks.TeamShape = policy.network.shape
-    extras = (len(shape.extras[0]) if shape.extras else 0 for shape in (theirs, ours))
-    compared = {
-        "groups": (theirs.groups, ours.groups),
-        "ids or traits": tuple(extras),
-    }
-    if theirs.of_one_team or ours.of_one_team:
-        compared["robots"] = theirs.n_robots, ours.n_robots
-    if max(*theirs.of, *ours.of) > 0:
-        compared["actor"] = theirs.actor, ours.actor
-    if problems := [
-        f"{name}: the policy has {theirs}, this run {ours}"
-        for name, (theirs, ours) in compared.items()
-        if theirs != ours
-    ]:
+    shapes: tuple[networks.TeamShape, ...] = policy.network.shape, ours
+    one_team = any(shape.of_one_team for shape in shapes)
+    apart = any(max(shape.of) > 0 for shape in shapes)
+    theirs, wanted = (
+        {
+            "groups": shape.groups,
+            "ids or traits": len(shape.extras[0]) if shape.extras else 0,
+            "robots": shape.n_robots if one_team else None,
+            "actor": shape.actor if apart else None,
+        }
+        for shape in shapes
+    )
+    if problems := differences(theirs, wanted):
         raise ConfigError(f"from: {source.path}", problems)
 
 
