@@ -19,10 +19,8 @@ from baselines.algorithms import Algorithm, find_algorithm
 from baselines.compare.records import BOTH, Results
 from baselines.evaluation.intervals import Interval, mean_interval, mean_of_known
 
-RESAMPLES, CERTAIN = 10_000, 0.05
+RESAMPLES, CERTAIN, POWER = 10_000, 0.05, 0.8
 ENDS = (2.5, 97.5)
-# Standard errors of a difference that a test at 5 % finds in 80 % of such comparisons.
-POWER = 2.8
 
 FloatArray = NDArray[np.float64]
 Numbers = Mapping[str, Any]
@@ -75,15 +73,17 @@ def holm(p_values: Sequence[float]) -> list[float]:
 def detectable(ours: FloatArray, theirs: FloatArray, family: int = 1) -> float | None:
     """The smallest difference of means that so many runs show in 80 % of cases, at 5 %.
 
-    There is none if no difference can: if the least p-value, corrected for so many comparisons, is
-    above 5 %.
+    The 5 % are shared by the comparisons of a ``family``. There is none if no difference can: if
+    the least p-value, corrected for them, is above 5 %.
     """
     fields, seeds = ours.shape
     least = 2.0 * float(math.comb(2 * seeds, seeds)) ** -fields
     if seeds == 1 or family * least >= CERTAIN:
         return None
     squares = [(side.var(axis=1, ddof=1) / side.shape[1]).sum() for side in (ours, theirs)]
-    return float(POWER * np.sqrt(sum(squares)) / len(ours))
+    tail = stats.t(2 * fields * (seeds - 1))
+    errors = tail.ppf(1.0 - CERTAIN / (2.0 * family)) + tail.ppf(POWER)
+    return float(errors * np.sqrt(sum(squares)) / fields)
 
 
 def _resampled(scores: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -26,16 +26,17 @@ class Braking:
 
     They brake inside the field and, in each step, on their side of the middle between where two
     robots were if both braked now: buffered Voronoi cells (Zhou et al., 2017) of braking robots.
-    ``entities`` does not show a robot its place, so the field does not matter there.
+    ``entities`` does not show a robot its place, so walls are not tested there. A wall stops a
+    robot sooner than it brakes, so another one can then hit it.
     """
 
-    def __init__(self, problem: Problem, table: Iterable[Entry]) -> None:
+    def __init__(self, problem: Problem, table: Iterable[Entry], team: int) -> None:
         self.problem = problem
         at = {entry.name: entry.offset for entry in table}
         self._soft = "own_x" not in at
         self._walled = not self._soft
         axes = (*(("near_x", "near_y") if self._soft else ("dx", "dy")), "dvx", "dvy")
-        others = [[at[f"other_{k}_{axis}"] for axis in axes] for k in range(1, problem.n)]
+        others = [[at[f"other_{k}_{axis}"] for axis in axes] for k in range(1, team)]
         self._others = np.array(others, int).reshape(-1, 4)
         self._own = [] if self._soft else [at["own_x"], at["own_y"]]
         self._motion = [at["own_vx"], at["own_vy"]]
@@ -44,7 +45,12 @@ class Braking:
             problem.field.vertices if "roi_0_ux" in at else np.array([[0.0, 0.0], self._arena])
         )
         self._centre = (corners.min(0) + corners.max(0)) / 2.0
-        self._top, self._force = problem.config.top_speed, problem.forces.min(0)
+        self._top = problem.config.top_speed
+        # All brake with the least force of the team: none knows which of the others has more.
+        self._brake = problem.forces.min(0)
+        # If the field's team is smaller than the largest, teams vary, and robots are all alike.
+        self._forces = np.resize(problem.forces, (team, 2))
+        self._limits = np.resize([drive.top for drive in problem.drives], (team, 1))
         shapely.prepare(problem.area)
 
     def _read(self, rows: Floats) -> tuple[Floats, Floats, Floats, Floats, Flags]:
@@ -72,9 +78,11 @@ class Braking:
         others: Floats,
         moves: Floats,
         there: Flags,
+        robots: NDArray[np.int64],
     ) -> Floats:
-        """Return the change of each row's velocity: the first from which it can brake."""
-        change = -np.clip(speed, -self._force, self._force)
+        """Return the change of the velocity of each row's robot: the first after which it can brake."""
+        change = -np.clip(speed, -self._brake, self._brake)
+        force, top = self._forces[robots], self._limits[robots]
         # Two robots in sight of each other derive the same middles. If both choices keep to their
         # sides, they and the brakings after them are apart in each step. The rest of those is what
         # both would do if they braked in the next step: so braking passes again, and none collide.
@@ -86,12 +94,12 @@ class Braking:
         room[~there] = np.inf
         rows = np.arange(len(place))
         turns = [(share * np.exp(1j * np.radians(angle)), 0.0) for angle, share in TURNS]
-        turns += [(0.0, ESCAPE_SHARE * self._top * np.exp(1j * angle)) for angle in ESCAPES]
+        turns += [(0.0, ESCAPE_SHARE * np.exp(1j * angle)) for angle in ESCAPES]
         for turn, own in turns:
-            asked = turn * (wanted[rows] @ np.array([1.0, 1.0j])) + own
+            asked = turn * (wanted[rows] @ np.array([1.0, 1.0j])) + own * top[rows, 0]
             aim = np.stack([asked.real, asked.imag], -1)
-            step = np.clip(aim - speed[rows], -self._force, self._force)
-            way = self._way(place[rows], np.clip(speed[rows] + step, -self._top, self._top))
+            step = np.clip(aim - speed[rows], -force[rows], force[rows])
+            way = self._way(place[rows], np.clip(speed[rows] + step, -top[rows], top[rows]))
             beside = np.einsum("rkta,rta->rkt", toward[rows], way - rest[rows])
             safe = (beside <= room[rows]).all((1, 2))
             safe &= self._inside(way.reshape(-1, 2)).reshape(len(rows), -1).all(1)
@@ -102,13 +110,13 @@ class Braking:
         return change
 
     def _braked(self, speed: Floats) -> Floats:
-        slower: Floats = speed - np.clip(speed, -self._force, self._force)
+        slower: Floats = speed - np.clip(speed, -self._brake, self._brake)
         return slower
 
     def _way(self, place: Floats, speed: Floats) -> Floats:
         """Return (.., T, 2): places after this step at ``speed``, and while braking after it."""
         way = []
-        for _ in range(int(np.ceil(self._top / self._force.min())) + 1):
+        for _ in range(int(np.ceil(self._top / self._brake.min())) + 1):
             place = place + speed * self.problem.config.tau
             speed = self._braked(speed)
             way.append(place)
@@ -126,20 +134,22 @@ class Braking:
 class OwnShield(Braking):
     """Replaces actions after which robots could no longer brake; each by its own row alone.
 
-    Where fields vary, robots do not know theirs, and keep clear of each other alone.
+    Where fields vary, robots do not know theirs, so walls are not tested there either.
     """
 
     def __init__(self, problem: Problem, engine: BatchEngine) -> None:
         inner = problem.area.buffer(-MARGIN, join_style="mitre")
-        super().__init__(replace(problem, area=inner), engine.observation_table)
+        super().__init__(replace(problem, area=inner), engine.observation_table, engine.n_robots)
         self._walled &= len(engine.fields) == 1
 
     def act(self, actions: NDArray[np.float32], seen: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return actions (worlds, n, 2) for observations (worlds, n, size)."""
         sight = self._read(seen.reshape(-1, seen.shape[-1]).astype(float))
-        asked = np.clip(actions.reshape(-1, 2), -1.0, 1.0) * self._force
+        robots = np.arange(len(sight[0])) % actions.shape[1]
+        force = self._forces[robots]
+        asked = np.clip(actions.reshape(-1, 2), -1.0, 1.0) * force
         place, speed, others, moves, there = sight
-        change = self._choose(place, speed, speed + asked, others, moves, there)
+        change = self._choose(place, speed, speed + asked, others, moves, there, robots)
         same = (np.abs(change - asked) < 1e-9).all(-1, keepdims=True)
-        taken = np.where(same, actions.reshape(-1, 2), change / self._force)
+        taken = np.where(same, actions.reshape(-1, 2), change / force)
         return taken.reshape(actions.shape).astype(np.float32)

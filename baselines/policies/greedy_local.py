@@ -43,7 +43,7 @@ class GreedyLocal(Braking, Policy):
         config, arena = problem.config, problem.field.arena
         kinds = bool(problem.field.roi_kinds)
         table = observation_table(config, problem.n, problem.m, arena, kinds=kinds)
-        super().__init__(problem, table)
+        super().__init__(problem, table, problem.n)
         self._blind, self._heard = blind, settings.comm_radius
         self._parts, self._near = np.zeros((0, 2)), np.zeros(0)
         if settings.hidden_rois:
@@ -93,15 +93,17 @@ class GreedyLocal(Braking, Policy):
         left = rows[:, self._visited] < 0.5
         robots = self._robots[np.arange(len(rows)) % len(self._robots)]
         target = self._targets(robots, place, others, there, left)
-        wanted = self._wanted(place, speed, target)
+        wanted = self._wanted(robots, place, speed, target)
         if self._turns.any():
-            held = (target != UNKNOWN) & (np.abs(speed).max(1) < SLOW * self._top)
-            held &= np.abs(wanted).max(1) > SLOW * self._top
+            slow = SLOW * self._limits[robots, 0]
+            held = (target != UNKNOWN) & (np.abs(speed).max(1) < slow)
+            held &= np.abs(wanted).max(1) > slow
             leaves = self._leaves(robots, held) | (target == UNKNOWN)
-            wanted[leaves] = self._away(place[leaves], others[leaves], there[leaves])
-        changes = self._choose(place, speed, wanted, others, moves, there)
+            away = self._away(place[leaves], others[leaves], there[leaves])
+            wanted[leaves] = self._limits[robots[leaves]] * away
+        changes = self._choose(place, speed, wanted, others, moves, there, robots)
         self._steps += 1
-        actions: np.ndarray = (changes / self._force).reshape(*seen.shape[:2], 2)
+        actions: np.ndarray = (changes / self._forces[robots]).reshape(*seen.shape[:2], 2)
         return actions.astype(np.float32)
 
     def _targets(
@@ -161,7 +163,9 @@ class GreedyLocal(Braking, Policy):
                 break
         return first
 
-    def _wanted(self, place: Floats, speed: Floats, target: NDArray[Any]) -> Floats:
+    def _wanted(
+        self, robots: NDArray[Any], place: Floats, speed: Floats, target: NDArray[Any]
+    ) -> Floats:
         """Return the highest velocities toward the targets from which robots can stop there."""
         goes, tau = target != UNKNOWN, self.problem.config.tau
         goal = self._places[target]
@@ -169,12 +173,13 @@ class GreedyLocal(Braking, Policy):
             for row in np.flatnonzero(goes):
                 goal[row] = self._roadmap.toward(place[row], int(target[row]))
         offset = (goal - place) / tau
-        far, force = np.abs(offset), self._force
-        limit = np.minimum(0.5 * (np.sqrt(force**2 + 8.0 * force * far) - force), self._top)
+        far, brake = np.abs(offset), self._brake
+        stops = 0.5 * (np.sqrt(brake**2 + 8.0 * brake * far) - brake)
+        limit = np.minimum(stops, self._limits[robots])
         scale = np.where(far > 1e-9, limit / np.maximum(far, 1e-9), 1.0).min(1, keepdims=True)
         # Without an ROI robots stir, since to rest on a visited one has a cost.
         rests = ~speed.any(1, keepdims=True)
-        stir = STIRS[self._steps % len(STIRS)] * force * rests
+        stir = STIRS[self._steps % len(STIRS)] * brake * rests
         wanted: Floats = np.where(goes[:, None], offset * np.minimum(scale, 1.0), stir)
         return wanted
 
@@ -188,13 +193,13 @@ class GreedyLocal(Braking, Policy):
         return leaves
 
     def _away(self, place: Floats, others: Floats, there: Flags) -> Floats:
-        """Return the fastest velocities away from the robots nearby."""
+        """Return directions away from the robots nearby."""
         offset = place[:, None] - others
         far = np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
         near = there[..., None] & (far < CROWD * self.problem.config.safety_distance)
         push = np.where(near, offset / far**2, 0.0).sum(1)
         away: Floats = push / np.maximum(np.linalg.norm(push, axis=1, keepdims=True), 1e-9)
-        return self._top * away
+        return away
 
 
 def parts(problem: Problem, radius: float) -> tuple[Floats, Floats]:

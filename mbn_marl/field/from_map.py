@@ -179,7 +179,7 @@ def _feature(node: Any, place: str) -> list[_Shape]:
         return []
     try:
         found = shape(geometry)
-    except (ShapelyError, TypeError, LookupError, AttributeError, ValueError) as error:
+    except (ShapelyError, TypeError, LookupError, AttributeError, ValueError, OverflowError) as error:
         raise _error(f"{place}: {str(error)[:200]}; allowed: {ALLOWED}") from None
     return _parts(found, place, properties)
 
@@ -193,7 +193,8 @@ def _parts(geometry: shapely.Geometry, place: str, properties: dict[str, Any]) -
     if geometry.is_empty:
         raise _error(f"{place}: coordinates: empty; allowed: {ALLOWED}")
     name, kind = (properties.get(key) for key in ("name", "kind"))
-    return [_Shape(place, "" if name is None else str(name), str(kind or "").lower(), geometry)]
+    kind = str(kind or "").lower().encode(errors="replace").decode()  # JSON allows half a character
+    return [_Shape(place, "" if name is None else str(name), kind, geometry)]
 
 
 def _chosen(polygons: Sequence[_Shape], wanted: str | None, file: str) -> _Shape:

@@ -44,6 +44,7 @@ class Weather:
 
     push: Floats  # (2,), in the last step, units/step per step
     gusty: bool = False  # whether it has changed
+    seen: Flags = field(default_factory=lambda: np.zeros(2, bool))  # (2,), axes that have shown it
     count: int = 0
     total: Floats = field(default_factory=lambda: np.zeros(2))  # (2,), the sum of all pushes
 
@@ -56,16 +57,19 @@ class Weather:
         speed limit show nothing: a wall may have stopped them.
         """
         tops = np.array([[drive.top] for drive in problem.drives])
-        shown = works[:, None] & (np.abs(now) < tops) & now.any(axis=1, keepdims=True)
-        found, push = now - before - actions * problem.forces, self.push.copy()
+        # A limit may be less in float32 than in float64.
+        slower = np.abs(now) < tops * (1.0 - 1e-6)
+        shown = works[:, None] & slower & now.any(axis=1, keepdims=True)
+        found = now - before - actions * problem.forces
+        push, seen = self.push.copy(), self.seen.copy()
         for axis in (0, 1):
             pushes = found[shown[:, axis], axis]
             if len(pushes) and np.ptp(pushes) < DISTURBED:
-                push[axis] = np.median(pushes)
-        if np.abs(push - self.push).max() < CALM:
-            push = self.push
-        gusty = self.gusty or (self.count > 0 and push is not self.push)
-        return Weather(push, gusty, self.count + 1, self.total + push)
+                push[axis], seen[axis] = np.median(pushes), True
+        changed = np.abs(push - self.push) >= CALM
+        push = np.where(changed, push, self.push)
+        gusty = self.gusty or bool((changed & self.seen).any())
+        return Weather(push, gusty, seen, self.count + 1, self.total + push)
 
     def problem(self, problem: Problem, share: float = GUST_SHARE) -> Problem:
         """Return the instance to plan for: in gusts with their mean, and a share of the force."""

@@ -94,6 +94,7 @@ def test_wkt(tmp_path, text, rois):
         ([polygon([*FARM[:2], [500, 0], *FARM[1:], FARM[0]])], "mended"),  # a spike
         ([polygon(ring(FARM)), point(-0.5, 50)], "moved to its border"),
         ([polygon(ring(FARM)), point(50, 50, kind="tree")], "tree: left out"),
+        ([polygon(ring(FARM)), point(50, 50, kind="\ud800")], "?: left out"),
     ],
 )
 def test_what_is_mended_is_said(tmp_path, features, note):
@@ -134,6 +135,7 @@ def test_polygons_are_picked_and_holes_are_cut_out(tmp_path):
         ([polygon([[0, 0], [400, float("nan")], [3, 4]])], "features[0]"),
         ([point(1, 2)], "file"),
         ([{"type": "LineString", "coordinates": [[0, 0], [1, 1]]}], "features[0]"),
+        ([{"type": "Point", "coordinates": [10**400, 0]}], "features[0]"),
         ([[1]], "features[0]"),
     ],
 )

@@ -53,6 +53,22 @@ def test_the_last_step_shows_the_wind():
         assert np.array_equal(windy.act(push, place, speed), push) == passes
 
 
+def test_a_limit_that_float32_rounds_down_shows_no_wind():
+    top = np.float32(2.1)
+    assert float(top) < 2.1
+    calm = shield(1, v_clip=2.1)
+    for speed in (0.0, top):  # the second step's push has no effect
+        calm.act(np.array([[1.0, 0.0]]), np.array([[150.0, 200.0]]), np.array([[speed, 0.0]]))
+    assert not calm.weather.push.any() and not calm.weather.gusty
+
+
+def test_wind_that_an_axis_at_its_limit_hid_is_no_gust():
+    windy = shield(1, v_clip=0.5)
+    for x, y, action in ((0.0, 0.0, 1.0), (0.5, 0.1, -0.8), (0.2, 0.2, 0.0)):  # 0.1 a step
+        windy.act(np.array([[action, 0.0]]), REST[:1] + 200.0, np.array([[x, y]]))
+    assert windy.weather.push == pytest.approx([0.1, 0.1]) and not windy.weather.gusty
+
+
 def test_robots_decide_in_index_order():
     """A full force brings a robot 0.5 nearer and no further; 10.1 have to stay between them.
 

@@ -60,7 +60,10 @@ def test_corrections_and_power_by_hand():
     assert stratified.holm([0.01, 0.04, 0.03, 0.9]) == pytest.approx([0.04, 0.09, 0.09, 0.9])
     # The variance of 0, 1 and 2 is 1, that of their mean 1/3, of the mean of two such fields 1/6.
     some = np.array([[0.0, 1.0, 2.0]] * 2)
-    assert stratified.detectable(some, np.zeros((2, 3))) == pytest.approx(2.8 * np.sqrt(1 / 6))
+    # Quantiles of Student's t with 8 degrees of freedom: of 97.5, 99.5 and 80 %.
+    for family, quantile in ((1, 2.306), (5, 3.355)):
+        shown = stratified.detectable(some, np.zeros((2, 3)), family)
+        assert shown == pytest.approx((quantile + 0.889) * np.sqrt(1 / 6), abs=1e-3)
     # The least p-value of two fields is 2/400 with three seeds, 2/36 with two, 2/4 with one.
     assert stratified.detectable(some, np.zeros((2, 3)), family=10) is None
     for seeds in (1, 2):

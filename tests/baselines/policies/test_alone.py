@@ -13,6 +13,7 @@ from baselines.policies.policy import Alone, Policy, RandomPolicy
 from baselines.policies.shielded import Shielded
 from baselines.torchrl.networks import GaussianPolicy, TeamShape
 from baselines.torchrl.policy import TeamPolicy
+from mbn_marl import Field
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ConfigError
 
@@ -99,6 +100,24 @@ def test_behind_the_shield_each_robot_keeps_away_by_its_row_alone(observation):
     actions = np.full((2, 3, 2), 0.7, np.float32)
     alone = [shield.act(actions[:, i : i + 1], rows[:, i : i + 1]) for i in range(3)]
     np.testing.assert_array_equal(np.concatenate(alone, 1), shield.act(actions, rows))
+
+
+LINE = ((400, 500), (430, 540), (460, 500))
+HALL = ((300, 400), (600, 400), (600, 600), (300, 600))
+
+
+@pytest.mark.parametrize("other", [{"f_max": (0.5, 0.5, 2.0)}, {}])
+def test_the_shield_knows_the_limits_of_robots_and_the_largest_team(other):
+    teams = [LINE] if other else [LINE[:2], LINE]
+    fields = [Field(HALL, [(590, 590)], team) for team in teams]
+    own = {**OWN, "observation": "local", "max_steps": 60, **other}
+    engine = BatchEngine(fields, len(fields), threads=1, **own)
+    shield, seen, hits = Shielded(RandomPolicy()).fit(engine)._own, engine.reset(), 0
+    meet = np.array([[[1.0, 0.0], [0.0, 0.0], [-1.0, 0.0]]] * len(fields), np.float32)
+    for _ in range(40):
+        seen, _, ended, _ = engine.step(shield.act(meet, seen))
+        hits += ended.sum()
+    assert not hits
 
 
 def test_an_engine_of_own_knowledge_wants_robots_alone():
