@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from typing import Any, Literal, Unpack, cast
+from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
@@ -16,11 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from mbn_marl.adapters.infos import Infos
 from mbn_marl.adapters.one_world import (
     RENDER_FPS,
-    LazyViewer,
     OneWorld,
     check_central,
-    check_names,
     fresh_seed,
+    make_parts,
     real_numbers,
     rename_max_steps,
 )
@@ -190,22 +189,22 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         threads: int | None = None,
         **settings: Unpack[FixedSettings],
     ) -> None:
-        rename_max_steps("max_episode_steps", max_episode_steps, settings)
-        check_names(settings)
-        self._viewer = LazyViewer(render_mode, ("rgb_array",), render_size)
-        self.render_mode = render_mode
+        problems = rename_max_steps("max_episode_steps", max_episode_steps, settings)
+        self.render_mode, mode = render_mode, AutoresetMode.NEXT_STEP
         try:
-            self.autoreset_mode = mode = AutoresetMode(autoreset_mode)
+            mode = AutoresetMode(autoreset_mode)
         except ValueError:
             known = ", ".join(repr(known.value) for known in AutoresetMode)
-            problem = f"autoreset_mode: unknown mode {autoreset_mode!r}; known: {known}"
-            raise ConfigError("environment", [problem]) from None
+            problems.append(f"autoreset_mode: unknown mode {autoreset_mode!r}; known: {known}")
+        self.autoreset_mode = mode
         self.metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
         self.metadata["autoreset_mode"] = mode
-        engine_mode = cast(Literal["same_step", "next_step", "disabled"], mode.name.lower())
-        self.engine = engine = BatchEngine(
-            field, num_envs, autoreset=engine_mode, threads=threads, n_robots=n_robots, **settings
+        view = render_mode, ("rgb_array",), render_size
+        how = {"autoreset": mode.name.lower(), "threads": threads, "n_robots": n_robots}
+        self._viewer, engine = make_parts(
+            view, field, num_envs, settings, problems, "num_envs", **how
         )
+        self.engine = engine
         check_central(engine.config)
         self._infos = Infos(engine)
         self.num_envs = num_envs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Unpack
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from mbn_marl.adapters.infos import Infos
 from mbn_marl.config import FixedSettings, NavigationConfig, Settings, make_config
-from mbn_marl.engine import BatchEngine, FieldLike
+from mbn_marl.engine import BatchEngine, FieldLike, Fields
 from mbn_marl.engine.validation import REAL, as_array, option_problems, reset_problems
 from mbn_marl.errors import ConfigError, StepError
 from mbn_marl.field import FieldSampler, load_field
@@ -74,12 +75,15 @@ class OneWorld:
         field: FieldLike | FieldSampler,
         render_mode: str | None,
         render_size: tuple[int, int],
+        problems: Sequence[str] = (),
+        /,
         **settings: Unpack[Settings],
     ) -> None:
-        check_names(settings)
         self.render_mode = render_mode
-        self._viewer = LazyViewer(render_mode, self.metadata["render_modes"], render_size)
-        self.engine = engine = BatchEngine(field, 1, autoreset=False, threads=1, **settings)
+        view = render_mode, self.metadata["render_modes"], render_size
+        how: dict[str, Any] = {"autoreset": False, "threads": 1}
+        self._viewer, engine = make_parts(view, field, 1, settings, problems, **how)
+        self.engine = engine
         self.state_space = spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
         self._infos = Infos(engine)
         self._started = False
@@ -143,6 +147,34 @@ class OneWorld:
             self._viewer.draw(self.engine)
 
 
+def make_parts(
+    view: tuple[str | None, Sequence[str], tuple[int, int]],
+    field: Fields,
+    num_worlds: int,
+    settings: Mapping[str, Any],
+    problems: Sequence[str] = (),
+    count: str = "num_worlds",
+    **options: Any,
+) -> tuple[LazyViewer, BatchEngine]:
+    """Return a form's viewer and engine; a ConfigError adds all problems of both to ``problems``.
+
+    ``count`` is the form's own name of ``num_worlds``.
+    """
+    found = [*problems]
+    try:
+        viewer = LazyViewer(*view)
+    except ConfigError as error:
+        found += error.problems
+    try:
+        check_names(settings)
+        engine = BatchEngine(field, num_worlds, **options, **settings)
+    except ConfigError as error:
+        found += [re.sub("^num_worlds(?=:)", count, problem) for problem in error.problems]
+    if found:
+        raise ConfigError("environment", found)
+    return viewer, engine
+
+
 def fresh_seed() -> int:
     """Return a seed from the system's entropy, as a first reset without one has in Gymnasium."""
     return int(np.random.SeedSequence().generate_state(1, np.uint64)[0] >> 1)
@@ -172,9 +204,14 @@ def check_central(config: NavigationConfig) -> None:
         raise ConfigError("environment", [f"knowledge: {config.knowledge!r}; {allowed}"])
 
 
-def rename_max_steps(name: str, value: int | None, settings: FixedSettings) -> None:
-    """Put ``value`` into ``settings`` as ``max_steps``, which another library calls ``name``."""
+def rename_max_steps(name: str, value: int | None, settings: FixedSettings) -> list[str]:
+    """Put ``value`` into ``settings`` as ``max_steps``, which another library calls ``name``.
+
+    Returns:
+        The problem if they are two numbers.
+    """
     if value is not None:
         if settings.get("max_steps", value) != value:
-            raise ConfigError("environment", [f"{name}: is max_steps, give only one"])
+            return [f"{name}: is max_steps, give only one"]
         settings["max_steps"] = value
+    return []

@@ -17,7 +17,7 @@ from mbn_marl.adapters.one_world import OneWorld, real_numbers, rename_max_steps
 from mbn_marl.config import FixedSettings
 from mbn_marl.engine import FieldLike
 from mbn_marl.engine.validation import REAL
-from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError, unknown
+from mbn_marl.errors import ActionError, MbnError, StepError, unknown
 from mbn_marl.field import FieldSampler
 from mbn_marl.render.viewer import RENDER_SIZE
 
@@ -85,12 +85,11 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         failed_agents: FailedAgents = "keep",
         **settings: Unpack[FixedSettings],
     ) -> None:
+        problems = rename_max_steps("max_cycles", max_cycles, settings)
         if failed_agents not in get_args(FailedAgents):
             allowed = ", ".join(map(repr, get_args(FailedAgents)))
-            problem = f"failed_agents: {failed_agents!r}; allowed: {allowed}"
-            raise ConfigError("environment", [problem])
-        rename_max_steps("max_cycles", max_cycles, settings)
-        super().__init__(field, render_mode, render_size, n_robots=n_robots, **settings)
+            problems.append(f"failed_agents: {failed_agents!r}; allowed: {allowed}")
+        super().__init__(field, render_mode, render_size, problems, n_robots=n_robots, **settings)
         self.possible_agents = [f"robot_{index}" for index in range(self.engine.n_robots)]
         self._index = {agent: index for index, agent in enumerate(self.possible_agents)}
         self.agents: list[str] = []

@@ -28,11 +28,12 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from mbn_marl.adapters.one_world import RENDER_FPS, LazyViewer, check_central, check_names
+from mbn_marl.adapters.one_world import RENDER_FPS, check_central, check_names, make_parts
 from mbn_marl.config import Settings
-from mbn_marl.engine import BatchEngine, Fields
+from mbn_marl.engine import Fields
 from mbn_marl.engine.validation import as_array
 from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
+from mbn_marl.render.viewer import RENDER_SIZE
 
 if TYPE_CHECKING:
     from mbn_marl.engine import Snapshot
@@ -68,6 +69,7 @@ class NavigationVecEnv(VecEnv):
     """
 
     _return: str  # the metric that is a row's return
+    _count = "num_worlds"  # its argument's name
 
     def __init__(
         self,
@@ -79,12 +81,11 @@ class NavigationVecEnv(VecEnv):
         render_mode: str | None = None,
         **settings: Unpack[Settings],
     ) -> None:
-        check_names(settings)
-        self._viewer = LazyViewer(render_mode, ("rgb_array",))
         self.render_mode = render_mode
-        self.engine = BatchEngine(
-            field, num_worlds, seed=seed, autoreset="disabled", threads=threads, **settings
-        )
+        view = render_mode, ("rgb_array",), RENDER_SIZE
+        how: dict[str, Any] = {"seed": seed, "autoreset": "disabled", "threads": threads}
+        how |= {"count": self._count}
+        self._viewer, self.engine = make_parts(view, field, num_worlds, settings, **how)
         self._rows_per_world, observation_space, action_space = self._row()
         self._actions: NDArray[Any] | None = None
         self._start_time = time.time()
@@ -242,7 +243,7 @@ class CentralizedVecEnv(NavigationVecEnv):
     There are ``num_envs`` worlds; other arguments and errors as :class:`NavigationVecEnv`.
     """
 
-    _return = "episode_return"
+    _return, _count = "episode_return", "num_envs"
 
     def __init__(
         self,

@@ -103,13 +103,13 @@ class NavigationEnv(EnvBase):
         metrics: Sequence[str] = METRICS,
         **settings: Unpack[Settings],
     ) -> None:
-        check_names(settings)
         problems, names = list[str](), [*metrics] if isinstance(metrics, Iterable) else [metrics]
         if not all(name in METRICS and names.count(name) == 1 for name in names):
             allowed = f"each at most once of {', '.join(METRICS)}"
             problems.append(f"metrics: {metrics!r}; allowed: {allowed}")
         where = torch.device("cpu" if device is None else device)
         try:
+            check_names(settings)
             engine = BatchEngine(
                 field,
                 num_worlds,

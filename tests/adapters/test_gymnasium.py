@@ -16,6 +16,7 @@ from mbn_marl.errors import ActionError, ConfigError, StepError
 from mbn_marl.field import catalogue_names
 from tests.support.field_cases import SQUARE
 from tests.support.forms import NOTHING
+from tests.support.problems import places_of
 
 LANE = Field(vertices=SQUARE, rois=[(55.0, 50.0)], starts=[(20.0, 50.0)])
 
@@ -98,6 +99,9 @@ class TestBadInput:
             env.step(np.zeros((3, 2)))
 
     def test_names(self):
+        wrong = {"render_mode": "x", "autoreset_mode": "x", "max_steps": 0}
+        found = places_of(ConfigError, CentralizedVectorEnv, 0, **wrong)
+        assert sorted(found) == ["autoreset_mode", "max_steps", "num_envs", "render_mode"]
         for call, error, place in (
             (lambda: centralized_env(autoreset=1), ConfigError, "autoreset: "),
             (lambda: CentralizedVectorEnv(2, seed=1), ConfigError, "seed: "),

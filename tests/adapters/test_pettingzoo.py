@@ -22,6 +22,7 @@ from mbn_marl.adapters.infos import GAP
 from mbn_marl.errors import ActionError, ConfigError, FieldError, MbnError, StepError
 from tests.support.configurations import STORM
 from tests.support.forms import INFO_KEYS, NOTHING
+from tests.support.problems import places_of
 
 TEAM = {"field": "field_01", "n_robots": 2, "reward": "formal", "reward_sharing": "team"}
 CONFIGURATIONS = {
@@ -225,6 +226,9 @@ def test_the_order_of_calls():
 
 
 def test_wrong_settings_and_names_are_named():
+    wrong = {"render_mode": "x", "failed_agents": "x", "render_size": (1, 1), "colour": "red"}
+    places = ["failed_agents", "render_size", "render_mode", "colour"]
+    assert places_of(ConfigError, parallel_env, **wrong) == places
     env = parallel_env()
     for call, error, place in (
         (lambda: parallel_env(render_mode="ascii"), ConfigError, "render_mode: "),

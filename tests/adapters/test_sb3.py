@@ -148,7 +148,12 @@ def test_bad_calls_are_refused_before_anything_moves(kind):
         (lambda: env.step(bad), ActionError, r"world 4.*robot_2"),
         (lambda: env.step([[1.0], [1.0, 0.0]]), ActionError, "actions: "),
         (lambda: kind("field_03", 4, autoreset=True), ConfigError, "autoreset: "),
-        (lambda: kind("field_03", 4, render_mode="human"), ConfigError, "render_mode: "),
+        (
+            lambda: kind("field_03", 0, render_mode="human"),
+            ConfigError,
+            r"render_mode: (.|\n)*num_",
+        ),
+        (lambda: CentralizedVecEnv("field_03", 0), ConfigError, "num_envs: 0"),
         (lambda: env.set_attr("label", "other", indices=[0]), MbnError, "label"),
     ):
         with pytest.raises(error, match=place):

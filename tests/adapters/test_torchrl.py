@@ -187,6 +187,8 @@ def test_sizes_and_metrics_are_checked_at_once():
     twice = ["success", "success"]
     places = places_of(ConfigError, NavigationEnv, "field_03", 2.5, metrics=twice)
     assert places == ["metrics", "num_worlds"]
+    places = places_of(ConfigError, NavigationEnv, "field_03", 2, metrics=twice, colour=1)
+    assert places == ["metrics", "colour"]
     for metrics in (None, [1, "success"], [["success"]]):
         with pytest.raises(ConfigError, match="metrics: "):
             NavigationEnv("field_03", 2, metrics=metrics)
