@@ -1,15 +1,18 @@
 """A name that is not known is answered with its place, the one that may be meant, and all."""
 
+from pathlib import Path
+
 import pytest
 
 from baselines.algorithms import find_algorithm
-from baselines.policies.load import open_run
+from baselines.policies.load import check_known, open_run
 from baselines.sweep.spec import GridSpec
 from baselines.training.config import validate
 from mbn_marl.config import Uniform, make_config
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import FieldSampler, load_field, load_split
 
+TESTS = Path(__file__).parent
 GRID = {"store": "runs", "algorithms": ["ppo"], "seeds": [0], "budget": {"stepss": 1}}
 
 
@@ -17,7 +20,8 @@ def test_every_lookup_by_name_says_what_may_be_meant():
     for look_up, place, meant in (
         (lambda: find_algorithm("mapo"), "mapo: ", "mappo"),
         (lambda: load_field("feild_03"), "unknown field", "field_03"),
-        (lambda: open_run("zoo:feild_03"), "zoo:feild_03: ", "field_03"),
+        (lambda: open_run("zoo:feild_03"), "zoo:feild_03: ", "zoo:field_03"),
+        (lambda: check_known(f"{TESTS}/supprt"), "/supprt: there is no such folder", "support?)"),
         (lambda: make_config({"reward": "realeased"}), "reward: ", "released"),
         (lambda: make_config({"max_step": 5}), "max_step: ", "max_steps"),
         (lambda: make_config({"reward": {"name": "own", "medum": 5}}), "reward.medum: ", "medium"),

@@ -35,7 +35,7 @@ class Grid:
 
         spec = read_spec(self.spec)
         engine = make_engine(self.engine, self.processes, self.address, spec.resources)
-        runs, screen = runs_of(spec), console()
+        runs, screen = runs_of(spec, str(self.spec)), console()
         left = runs_left(runs, spec.store)
         print(f"{len(runs)} runs, {len(runs) - len(left)} of them done; {spec.store}", flush=True)
         if self.check:

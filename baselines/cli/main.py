@@ -74,7 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         package = (error.name or "").split(".")[0]
         if package in ("", *OWN_PACKAGES):
             raise
-        return _fail(f"{error}: {install(EXTRAS.get(package, 'baselines'))} brings it")
+        hint = f": {install(EXTRAS.get(package, 'baselines'))} brings it"
+        return _fail(f"{error}{'' if 'pip install' in str(error) else hint}")
     except KeyboardInterrupt as error:
         print(f"interrupted{': ' if error.args else ''}{error}", file=sys.stderr)
         return INTERRUPTED

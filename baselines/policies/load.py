@@ -35,7 +35,7 @@ def open_run(source: str) -> RunFolder:
         return RunFolder.open(Path(source))
     name, known = source.removeprefix(PREFIX), entry_names()
     if name not in known:
-        raise MbnError(f"{source}: {unknown('policy', name, known)}")
+        raise MbnError(f"{source}: {unknown('policy', source, [PREFIX + one for one in known])}")
     return RunFolder.open(ENTRIES / name)
 
 
@@ -70,6 +70,10 @@ def check_known(source: str) -> None:
         problem = unknown("policy", source, (*CLASSICAL, RANDOM, ZOO, *others))
         if source in catalogue_names():
             problem = f"is a field; name a policy, for example: greedy --field {source}"
+        elif "/" in source:
+            beside = [one.name for one in Path(source).parent.glob("*/")]
+            problem, *_ = unknown("folder", Path(source).name, beside).split("; known")
+            problem = problem.replace("unknown", "there is no such", 1)
         raise RunError(f"{source}: {problem}")
     if source.startswith(PREFIX):
         open_run(source)

@@ -15,7 +15,8 @@ from mbn_marl.field import Field
 
 
 def needs_field(source: str) -> ConfigError:
-    return ConfigError("policy", [f"field: {source} has none; name one, such as --field field_03"])
+    forms = f"--field field_03, or load_policy({source!r}, 'field_03')"
+    return ConfigError("policy", [f"field: {source} has none; name one, such as {forms}"])
 
 
 class LoadedPolicy(Wrapped):
@@ -34,6 +35,9 @@ class LoadedPolicy(Wrapped):
     ) -> None:
         super().__init__(policy)
         self.name, self.settings, self.field = name, dict(settings), field
+
+    def __repr__(self) -> str:
+        return f"LoadedPolicy({self.name!r}, field={self.field and self.field.name!r})"
 
     @property
     def place(self) -> Field:

@@ -21,7 +21,14 @@ from mbn_marl.field import catalogue_names, load_field
 
 
 def _known(load: Callable[[str], object]) -> AfterValidator:
-    return AfterValidator(lambda name: load(name) and name)
+    def check(name: str) -> str:
+        try:
+            load(name)
+        except ProblemsError as error:
+            raise ValueError("; ".join(error.problems)) from None  # a line, as of all values
+        return name
+
+    return AfterValidator(check)
 
 
 def _each_once(values: Sequence[Any]) -> Sequence[Any]:
@@ -82,10 +89,10 @@ def read_spec(path: Path) -> GridSpec:
     raise ConfigError(str(path), problems)
 
 
-def runs_of(spec: GridSpec) -> list[TrainConfig]:
+def runs_of(spec: GridSpec, place: str = "grid") -> list[TrainConfig]:
     """Return the checked runs of a grid, and those that runs under C begin with."""
     if problems := _problems(spec):
-        raise ConfigError("grid", problems)
+        raise ConfigError(place, problems)
     runs = {run.name: run for run in _runs(spec)}
     return sorted(runs.values(), key=lambda run: run.transferred_from is not None)
 

@@ -32,6 +32,7 @@ MAX_DEPTH = 12
 MAP_HINT = "a map (GeoJSON, WKT) becomes one by 'mbn fields --from MAP -o FILE.yaml'"
 AUTHORS_KEYS = {"field": "vertices", "init_positions": "starts", "infected_locations": "rois"}
 AUTHORS_UNIT = 10.0
+IS_SAMPLER = "a sampler of random fields; load_fields({!r}) loads it; allowed: a field"
 _CATALOGUE = files("envs_catalog")
 _SAMPLERS = _CATALOGUE / "samplers"
 
@@ -149,9 +150,7 @@ def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
     try:
         if not path.exists():
             if text in sampler_names():
-                say = (
-                    f"a sampler of random fields; load_fields({text!r}) loads it; allowed: a field"
-                )
+                say = IS_SAMPLER.format(text)
             elif os.sep in text or path.suffix:
                 say = "file: does not exist"
             else:
@@ -177,6 +176,8 @@ def _field_of(document: object, source: str, name: str) -> Field:
     if not isinstance(document, Mapping) or "format" not in document:
         say = f"missing; a field file begins with 'format: {FORMAT}'; {MAP_HINT}"
         raise FieldError(source, [f"format: {say}"])
+    if document["format"] == SAMPLER_FORMAT:
+        raise FieldError(source, [f"format: {IS_SAMPLER.format(source)}"])
     given = {key: value for key, value in document.items() if value is not None}
     values = check({"vertices": [], "rois": [], "starts": [], "name": name, **given}, source)
     del values["format"]

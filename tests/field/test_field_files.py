@@ -71,8 +71,9 @@ def test_samplers_are_files_too(tmp_path):
     save_field(sampler, tmp_path / "copy.yaml")
     assert load_fields(tmp_path / "copy.yaml") == sampler
     for source in ("random_convex", str(tmp_path / "copy.yaml")):
-        with pytest.raises(FieldError):
+        with pytest.raises(FieldError, match="load_fields") as caught:
             load_field(source)
+        assert len(caught.value.problems) == 1
     wrong = write(tmp_path, "format: mbn-sampler/1\nrobots: 0\nsides: 3\n")
     assert sorted(places_of(FieldError, load_fields, wrong)) == ["robots", "sides"]
 

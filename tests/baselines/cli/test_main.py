@@ -42,6 +42,7 @@ def test_unknown_command_is_answered_with_a_known_one(refusal):
         (KeyboardInterrupt("runs/a: --resume"), 130, ["interrupted: runs/a: --resume"]),
         (missing("optuna"), 2, ["'optuna'", ".[baselines]"]),
         (missing("ray.tune"), 2, ["'ray.tune'", ".[ray]"]),
+        (ImportError("mujoco: pip install x", name="mujoco"), 2, ["mujoco: pip install x\n"]),
         (FileNotFoundError(2, "gone", "a.yaml"), 2, ["a.yaml: gone"]),
     ],
 )

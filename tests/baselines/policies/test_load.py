@@ -67,6 +67,7 @@ def test_a_policy_of_the_zoo_acts_as_in_an_evaluation():
     evaluated = record_episode(load_trained(run), run.field, run.config["environment"])
     policy = load_policy("zoo", "field_07")
     assert policy.observes == "observations" and policy.field == run.field
+    assert repr(policy) == "LoadedPolicy('zoo in field_07', field='field_07')"
     env = parallel_env(policy.field, **policy.settings)
     seen, _ = env.reset(seed=0)
     for expected in evaluated.actions:
@@ -137,7 +138,7 @@ def test_wrong_observations_and_sources_are_refused_by_place(tmp_path):
         (("zoo:nothing",), MbnError, "zoo:nothing"),
         ((tmp_path,), RunError, str(tmp_path)),
         (("gredy",), RunError, "gredy"),
-        (("greedy",), ConfigError, "field: greedy"),
+        (("greedy",), ConfigError, r"field: greedy.*load_policy\('greedy', 'field_03'\)"),
         (("zoo:field_03", lonely), ConfigError, r"lonely(.|\n)*robots: .*\n.*ROIs"),
     ]
     for source, error, place in sources:

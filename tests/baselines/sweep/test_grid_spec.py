@@ -56,7 +56,9 @@ def test_wrong_values_are_refused_by_place_and_nothing_is_made(tmp_path, refusal
         ({"algorithms": ["sac"]}, "algorithms.0: sac"),
         ({"algorithms": ["mappo"]}, "settings: mappo"),
         ({"settings": ["C"], "fields": ["two.yaml"]}, "two.yaml: robots"),
+        ({"fields": ["feild_3"], "seeds": [-1]}, "grid.yaml: 2 problems"),
         ({"set": {"model.gamma": [2]}}, "model.gamma: "),
+        ({"set": {"model.gamma": [2]}}, "grid.yaml: 1 problem"),
         ({"robots": [2], "set": {"environment.n_robots": [3]}}, "set: environment.n_robots"),
         ({"resources": {"retries": -1}}, "resources.retries: "),
     ]
