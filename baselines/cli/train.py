@@ -27,7 +27,8 @@ class Train(Writes):
     wandb: str | None = None
     """Log to this project of Weights & Biases too (pip install wandb)."""
     out: OptionalOutput = None
-    """The run folder; by default runs/ALGORITHM-SETTING-FIELD-seedSEED."""
+    """The run folder; by default runs/ALGORITHM-SETTING-FIELD-seedSEED. Algorithms without setting
+    A omit N; a label replaces ALGORITHM-SETTING."""
     resume: bool = False
     """Resume the interrupted run from its newest checkpoint, with the same command otherwise."""
 
