@@ -1,6 +1,7 @@
 """``mbn compare``, ``report``, ``benchmark`` and ``runs``: what runs and policies are worth."""
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from baselines.console import console
 from baselines.runs.discover import run_folders
 from baselines.runs.files import Place, RunError, alone, claim_folder, reading, write_text
 from baselines.runs.folder import RunFolder
-from mbn_marl.errors import MbnError
+from mbn_marl.errors import MbnError, collecting
 
 WRITTEN = "comparison.md, comparison.json, table.csv, runs.csv, curves.csv, figures, runs"
 
@@ -44,9 +45,11 @@ class Compare(Writes):
             f"processes: at least 1, not {self.processes}": self.processes < 1,
             "force and resume: allowed is one of them": self.force and self.resume,
         }
-        check_options("comparison", wrong)
+        problems: list[str] = []
         if self.variants is not None:
-            config = replace(config, variants=read_variants(self.variants))
+            with collecting(problems):
+                config = replace(config, variants=read_variants(self.variants))
+        check_options("comparison", wrong | dict.fromkeys(problems, True))
         how = {name: getattr(self, name) for name in ("processes", "force", "resume", "wandb")}
         train_and_compare(config, self.out, command=command_line, **how)
         print(f"written to {self.out}: {WRITTEN}")
@@ -58,9 +61,14 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> None:
     from baselines.compare.run import train_all_runs
     from baselines.compare.tables import print_comparison
     from baselines.training.run_logger import progress_bars
+    from baselines.training.train import notes
 
-    print(f"{len(config.runs())} runs of {config.steps:,} env-steps")
-    with progress_bars(config.runs()) as show:
+    runs = config.runs()
+    print(f"{len(runs)} runs of {config.steps:,} env-steps")
+    with suppress(MbnError):  # train_all_runs lists all that is wrong
+        for line in dict.fromkeys(line for run in runs for line in notes(run)):
+            print(line)
+    with progress_bars(runs) as show:
         results = train_all_runs(config, out, listener=show, **options)
     print_comparison(write_comparison(results, Place(out / PAGE, out)), console())
     if results.broken:
@@ -149,9 +157,12 @@ class Benchmark(Writes):
         from baselines.policies.shielded import behind
 
         wrong = {"force and resume: allowed is one of them": self.force and self.resume}
-        check_options("benchmark", wrong)
-        check_known(self.source)
-        tiers = benchmark.load_tiers(self.split, self.tiers or benchmark.load_protocol().tiers)
+        problems: list[str] = []
+        with collecting(problems):
+            check_known(self.source)
+        with collecting(problems):
+            tiers = benchmark.load_tiers(self.split, self.tiers or benchmark.load_protocol().tiers)
+        check_options("benchmark", wrong | dict.fromkeys(problems, True))
         policy = f"{self.source}{behind(self.shield)}"
         name = re.sub(r"[^\w.-]+", "-", policy).strip("-")
         out = self.out or Path(f"runs/benchmark-{name}-{self.split}")

@@ -14,7 +14,7 @@ from baselines.cli.options import OptionalOutput, Writes, check_options
 from baselines.compare.text_table import TextTable, shown
 from baselines.runs.files import claim_folder, read_json, write_arrays, write_json
 from mbn_marl.config import Condition, Observation, make_config
-from mbn_marl.errors import ConfigError, FieldError, MbnError
+from mbn_marl.errors import ConfigError, FieldError, MbnError, collecting
 from mbn_marl.field import Field, load_field
 from mbn_marl.files import replacing
 
@@ -51,10 +51,12 @@ class Plan(Writes):
             ),
             "write: allowed without --n-robots and --wind": self.write and changed,
         }
-        check_options("plan", wrong)
-        field = load_field(self.field)
         settings: dict[str, Any] = {"n_robots": self.n_robots, "wind": self.wind}
-        make_problem(field, make_config(settings))  # says what is wrong before anything is moved
+        problems: list[str] = []
+        with collecting(problems):
+            field = load_field(self.field)
+            make_problem(field, make_config(settings))  # before anything is moved
+        check_options("plan", wrong | dict.fromkeys(problems, True))
         folder = self.out or Path(f"runs/plan-{field.name}")
         if self.write and not self.force:
             makespan = proved_makespan(folder, field, settings)

@@ -99,8 +99,8 @@ class CompareConfig:
             a sampler file, alone and with a tier.
         tier: the frozen fields that runs on random fields are evaluated on, such as 1-convex.
         seeds: one run per algorithm, field and seed.
-        steps: the budget of every run in env-steps; by default 100,000 for each robot and ROI of
-            the largest field, and at least 655,360.
+        steps: the budget of every run in env-steps; by default 100,000 for each pair of a robot
+            and an ROI of the largest field, and at least 655,360.
         evaluate_every: env-steps between two fresh evaluations.
         episodes: stochastic episodes of an evaluation.
 

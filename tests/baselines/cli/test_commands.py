@@ -57,7 +57,10 @@ def test_train_records_the_run_and_evaluate_repeats_its_evaluation(tmp_path, ref
         ("train ippo field_03 --set environment.max_step=5", ["max_step: "]),
         (f"compare --fields field_03 {CATALOGUE}/field_03.yaml", ["fields: "]),
         ("compare --processes 0 --force --resume", ["processes: ", "force and resume: "]),
+        ("compare --processes 0 --variants none.yaml", ["processes: ", "none.yaml: "]),
         ("compare --resume --out none", ["none"]),
+        ("benchmark nope --tiers 9-x --force --resume", ["force and", "nope: ", "'9-x'"]),
+        ("plan field_03 --n-robots 9 --time-limit nan", ["n_robots: ", "time_limit: "]),
         (
             "compare --algos pppo ppo ppo --fields feld_03 --seeds 0 0",
             ["algorithms: ", "seeds: ", "pppo: ", "feld_03: "],
@@ -66,6 +69,7 @@ def test_train_records_the_run_and_evaluate_repeats_its_evaluation(tmp_path, ref
         ("evaluate greddy --field field_03", ["greddy: unknown policy (did you mean greedy?)"]),
         ("render greddy --field field_03 -o a.json", ["greddy: unknown policy"]),
         ("evaluate nowhere", ["nowhere"]),
+        ("evaluate runs/nope", ["runs/nope: there is no such folder\n"]),
         ("render field_03 -o picture.bmp", [".png"]),
         ("replay none.json -o a.html", ["none.json: "]),
         ("zoo -o folder", ["out: "]),
