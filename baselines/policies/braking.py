@@ -80,7 +80,7 @@ class Braking:
         there: Flags,
         robots: NDArray[np.int64],
     ) -> Floats:
-        """Return the change of the velocity of each row's robot: the first after which it can brake."""
+        """Return the change of each row's velocity: the first after which its robot can brake."""
         change = -np.clip(speed, -self._brake, self._brake)
         force, top = self._forces[robots], self._limits[robots]
         # Two robots in sight of each other derive the same middles. If both choices keep to their

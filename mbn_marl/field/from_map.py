@@ -179,7 +179,14 @@ def _feature(node: Any, place: str) -> list[_Shape]:
         return []
     try:
         found = shape(geometry)
-    except (ShapelyError, TypeError, LookupError, AttributeError, ValueError, OverflowError) as error:
+    except (
+        ShapelyError,
+        TypeError,
+        LookupError,
+        AttributeError,
+        ValueError,
+        OverflowError,
+    ) as error:
         raise _error(f"{place}: {str(error)[:200]}; allowed: {ALLOWED}") from None
     return _parts(found, place, properties)
 
