@@ -18,6 +18,7 @@ from mbn_marl.adapters.one_world import (
     RENDER_FPS,
     OneWorld,
     check_central,
+    flag_problems,
     fresh_seed,
     make_parts,
     real_numbers,
@@ -94,7 +95,8 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
     ) -> None:
         if "frameskip" in settings:  # TorchRL's GymEnv tries it, and expects the error of Python
             raise TypeError("CentralizedEnv() got an unexpected keyword argument 'frameskip'")
-        super().__init__(field, render_mode, render_size, n_robots=n_robots, **settings)
+        wrong = flag_problems(flat=flat)
+        super().__init__(field, render_mode, render_size, wrong, n_robots=n_robots, **settings)
         check_central(self.engine.config)
         self.observation_space = self.state_space
         n = self.engine.n_robots

@@ -175,6 +175,14 @@ def make_parts(
     return viewer, engine
 
 
+def flag_problems(**flags: object) -> list[str]:
+    return [
+        f"{name}: {value!r}; allowed: True, False"
+        for name, value in flags.items()
+        if not isinstance(value, bool | np.bool_)
+    ]
+
+
 def fresh_seed() -> int:
     """Return a seed from the system's entropy, as a first reset without one has in Gymnasium."""
     return int(np.random.SeedSequence().generate_state(1, np.uint64)[0] >> 1)

@@ -28,7 +28,13 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from mbn_marl.adapters.one_world import RENDER_FPS, check_central, check_names, make_parts
+from mbn_marl.adapters.one_world import (
+    RENDER_FPS,
+    check_central,
+    check_names,
+    flag_problems,
+    make_parts,
+)
 from mbn_marl.config import Settings
 from mbn_marl.engine import Fields
 from mbn_marl.engine.validation import as_array
@@ -56,7 +62,7 @@ class NavigationVecEnv(VecEnv):
             ``w`` modulo their count); or a ``FieldSampler``.
         num_worlds: number of worlds.
         seed: of all worlds, until ``seed()`` gives another.
-        threads: of the engine; ``None`` takes as many as there are cores.
+        threads: of the engine; ``None`` lets it choose.
         render_mode: ``"rgb_array"`` draws the world of row 0, or ``None``.
         **settings: the fields of ``NavigationConfig``.
 
@@ -229,7 +235,10 @@ class NavigationVecEnv(VecEnv):
         return [wrapper_class is Monitor] * len(self._rows(indices))
 
     def _rows(self, indices: VecEnvIndices) -> list[int]:
-        return list(self._get_indices(indices))
+        rows = list(self._get_indices(indices))
+        if wrong := [row for row in rows if not -self.num_envs <= row < self.num_envs]:
+            raise IndexError(f"rows {wrong}; allowed: 0 to {self.num_envs - 1}")
+        return rows
 
 
 class CentralizedVecEnv(NavigationVecEnv):
@@ -257,6 +266,8 @@ class CentralizedVecEnv(NavigationVecEnv):
         **settings: Unpack[Settings],
     ) -> None:
         check_names(settings)
+        if problems := flag_problems(joint_observation=joint_observation):
+            raise ConfigError("environment", problems)
         self._joint = joint_observation
         how: dict[str, Any] = {"seed": seed, "threads": threads, "render_mode": render_mode}
         super().__init__(field, num_envs, **how, **settings)

@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from mbn_marl.adapters.one_world import check_names
+from mbn_marl.adapters.one_world import check_names, flag_problems
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, Fields
 from mbn_marl.engine.validation import as_array, reset_problems
@@ -71,7 +71,7 @@ class NavigationEnv(EnvBase):
         seed: of all worlds, until ``set_seed()`` gives another; each has its stream.
         device: where the tensors live. On CUDA, which has to be torch's current device, the engine
             computes too (see ``BatchEngine``); for any other device it computes on the CPU.
-        threads: of the engine on the CPU; ``None`` takes as many as there are cores.
+        threads: of the engine on the CPU; ``None`` lets it choose.
         state: give the entry ``"state"``.
         team_reward: give the entry ``"team_reward"``.
         metrics: the names of the metrics to give, of ``METRICS``; none leaves the entry out.
@@ -107,6 +107,7 @@ class NavigationEnv(EnvBase):
         if not all(name in METRICS and names.count(name) == 1 for name in names):
             allowed = f"each at most once of {', '.join(METRICS)}"
             problems.append(f"metrics: {metrics!r}; allowed: {allowed}")
+        problems += flag_problems(state=state, team_reward=team_reward)
         where = torch.device("cpu" if device is None else device)
         try:
             check_names(settings)
@@ -126,8 +127,8 @@ class NavigationEnv(EnvBase):
         super().__init__(device=where, batch_size=[num_worlds])
         self.engine = engine
         self._give = as_array if engine.device == "cpu" else torch.as_tensor
-        self._state, self._team_reward, self._measures = state, team_reward, tuple(metrics)
-        self._drawn = tuple(f"drawn/{name}" for name in self.engine.config.drawn if metrics)
+        self._state, self._team_reward, self._measures = state, team_reward, tuple(names)
+        self._drawn = tuple(f"drawn/{name}" for name in self.engine.config.drawn if names)
         self._metrics = self._measures + self._drawn
         self.n_agents = self.engine.n_robots
         self.group_map = {GROUP: [f"robot_{i}" for i in range(self.n_agents)]}
@@ -218,6 +219,7 @@ class NavigationEnv(EnvBase):
         return tensordict
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        self._loaded = False
         mask = tensordict.get("_step", None)
         active = None if mask is None else self._give(mask.reshape(-1))
         actions = self._give(tensordict.get((GROUP, "action")))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from shapely import Point
 
-from mbn_marl.config import LIMITS, NavigationConfig
+from mbn_marl.config import LIMITS, MAX_ROBOTS, NavigationConfig
 from mbn_marl.engine.constants import AUTORESET_MODES
 from mbn_marl.engine.tables import FieldSource, Sizes, sizes_of
 from mbn_marl.errors import ConfigError, unknown
@@ -253,7 +253,7 @@ def field_problems(
         small = f"{field.name}: {sides[0]:.3g} x {sides[1]:.3g} units, smaller than an ROI's radius"
         warnings.warn(f"{small}; 'mbn fields --from' reads a map in degrees", stacklevel=2)
     room = int(field.polygon.area / (2 * max(config.safety_distance, 1.0)) ** 2)
-    room = 0 if field.roi_kinds else room  # more robots than starts have no kind
+    room = 0 if field.roi_kinds else min(room, MAX_ROBOTS)  # more robots than starts have no kind
     random = config.random_starts and n <= room
     if (given_starts is None or field.roi_kinds) and n > len(field.starts) and not random:
         allowed = f"1 to {len(field.starts)}, the starts of {field.name}"

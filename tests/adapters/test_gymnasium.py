@@ -102,6 +102,7 @@ class TestBadInput:
         wrong = {"render_mode": "x", "autoreset_mode": "x", "max_steps": 0}
         found = places_of(ConfigError, CentralizedVectorEnv, 0, **wrong)
         assert sorted(found) == ["autoreset_mode", "max_steps", "num_envs", "render_mode"]
+        assert places_of(ConfigError, centralized_env, flat="no", tau=0) == ["flat", "tau"]
         for call, error, place in (
             (lambda: centralized_env(autoreset=1), ConfigError, "autoreset: "),
             (lambda: CentralizedVectorEnv(2, seed=1), ConfigError, "seed: "),

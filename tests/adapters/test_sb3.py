@@ -1,6 +1,7 @@
 """The Stable-Baselines3 environments: equality with the engine, its conventions, and training."""
 
 import warnings
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -154,6 +155,7 @@ def test_bad_calls_are_refused_before_anything_moves(kind):
             r"render_mode: (.|\n)*num_",
         ),
         (lambda: CentralizedVecEnv("field_03", 0), ConfigError, "num_envs: 0"),
+        (lambda: CentralizedVecEnv("field_03", joint_observation="no"), ConfigError, "joint_obs"),
         (lambda: env.set_attr("label", "other", indices=[0]), MbnError, "label"),
     ):
         with pytest.raises(error, match=place):
@@ -181,6 +183,9 @@ def test_attributes_and_methods(kind):
     assert shot.field.name == "field_03"
     with pytest.raises(AttributeError):
         env.env_method("missing")
+    for call in (partial(env.get_attr, "n_robots"), partial(env.env_method, "snapshot")):
+        with pytest.raises(IndexError, match=r"rows \[99\]"):
+            call(indices=[99])
     assert env.env_is_wrapped(Monitor, indices=[0]) == [True]
     assert env.env_is_wrapped(VecMonitor, indices=0) == [False]
 

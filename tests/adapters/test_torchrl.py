@@ -171,7 +171,12 @@ def test_a_saved_world_that_had_ended_begins_again():
     for _ in range(3):
         data = env.step(push()(data))["next"]
     env.load_state(env.save_state())
-    assert not env.reset()["done"].any() and env.engine.running.all()
+    data = env.reset()
+    assert not data["done"].any() and env.engine.running.all()
+    env.load_state(env.save_state())
+    env.step(push()(data))
+    env.reset()  # the state has been continued, so this begins anew
+    assert not env.engine.metrics(["steps"])["steps"].any()
     env.step(push()(env.reset()))
 
 
@@ -187,6 +192,10 @@ def test_sizes_and_metrics_are_checked_at_once():
     twice = ["success", "success"]
     places = places_of(ConfigError, NavigationEnv, "field_03", 2.5, metrics=twice)
     assert places == ["metrics", "num_worlds"]
+    names = (name for name in ("success", "steps"))
+    assert NavigationEnv("field_03", 2, metrics=names).reset().get("metrics", None) is not None
+    places = places_of(ConfigError, NavigationEnv, "field_03", 2, state="no", team_reward=1)
+    assert places == ["state", "team_reward"]
     places = places_of(ConfigError, NavigationEnv, "field_03", 2, metrics=twice, colour=1)
     assert places == ["metrics", "colour"]
     for metrics in (None, [1, "success"], [["success"]]):

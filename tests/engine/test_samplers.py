@@ -177,6 +177,8 @@ def test_teams_that_start_at_random_may_be_larger_than_the_starts():
     for wrong in ({"n_robots": 7}, {"n_robots": room + 1, "random_starts": True}):
         with pytest.raises(ConfigError, match="n_robots"):
             BatchEngine(field, 1, **wrong)
+    with pytest.raises(ConfigError, match="or to 64 with"):
+        BatchEngine("field_01", 1, n_robots=7)  # which has room for more
 
 
 def test_robots_that_find_no_random_place_start_apart():
