@@ -66,8 +66,13 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> None:
     runs = config.runs()
     print(f"{len(runs)} runs of {config.steps:,} env-steps")
     with suppress(MbnError):  # train_all_runs lists all that is wrong
-        for line in dict.fromkeys(line for run in runs for line in notes(run)):
-            print(line)
+        for run in runs:
+            if run.seed == runs[0].seed:
+                print(
+                    *(f"{run.shown_as} in {run.field}: {line}\n" for line in notes(run)),
+                    sep="",
+                    end="",
+                )
     with progress_bars(runs) as show:
         results = train_all_runs(config, out, listener=show, **options)
     print_comparison(write_comparison(results, Place(out / PAGE, out)), console())

@@ -27,7 +27,8 @@ class Braking:
     They brake inside the field and, in each step, on their side of the middle between where two
     robots were if both braked now: buffered Voronoi cells (Zhou et al., 2017) of braking robots.
     ``entities`` does not show a robot its place, so walls are not tested there. A wall stops a
-    robot sooner than it brakes, so another one can then hit it.
+    robot sooner than it brakes, so another one can then hit it. So can robots that see each other
+    too late to brake.
     """
 
     def __init__(self, problem: Problem, table: Iterable[Entry], team: int) -> None:
@@ -48,7 +49,7 @@ class Braking:
         self._top = problem.config.top_speed
         # All brake with the least force of the team: none knows which of the others has more.
         self._brake = problem.forces.min(0)
-        # If the field's team is smaller than the largest, teams vary, and robots are all alike.
+        # If the field's team is not the largest, teams vary, and unequal limits are refused.
         self._forces = np.resize(problem.forces, (team, 2))
         self._limits = np.resize([drive.top for drive in problem.drives], (team, 1))
         shapely.prepare(problem.area)

@@ -158,6 +158,7 @@ def make_parts(
 ) -> tuple[LazyViewer, BatchEngine]:
     """Return a form's viewer and engine; a ConfigError adds all problems of both to ``problems``.
 
+    A field that cannot be read is a FieldError, which comes alone.
     ``count`` is the form's own name of ``num_worlds``.
     """
     found = [*problems]

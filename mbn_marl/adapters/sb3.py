@@ -235,10 +235,10 @@ class NavigationVecEnv(VecEnv):
         return [wrapper_class is Monitor] * len(self._rows(indices))
 
     def _rows(self, indices: VecEnvIndices) -> list[int]:
-        rows = list(self._get_indices(indices))
+        rows = [int(row) for row in self._get_indices(indices)]
         if wrong := [row for row in rows if not -self.num_envs <= row < self.num_envs]:
             raise IndexError(f"rows {wrong}; allowed: 0 to {self.num_envs - 1}")
-        return rows
+        return [row % self.num_envs for row in rows]
 
 
 class CentralizedVecEnv(NavigationVecEnv):

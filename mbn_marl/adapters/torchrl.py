@@ -200,7 +200,7 @@ class NavigationEnv(EnvBase):
         return self.engine.save_state()
 
     def load_state(self, saved: Mapping[str, NDArray[Any]]) -> None:
-        """Continue with the next full reset exactly where ``saved`` was taken.
+        """Continue with the next step or full reset exactly where ``saved`` was taken.
 
         That reset begins new episodes only in the worlds that had ended. A state of another
         environment is an ``MbnError``.
@@ -219,11 +219,11 @@ class NavigationEnv(EnvBase):
         return tensordict
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        self._loaded = False
         mask = tensordict.get("_step", None)
         active = None if mask is None else self._give(mask.reshape(-1))
         actions = self._give(tensordict.get((GROUP, "action")))
         observations, rewards, *ended = self.engine.step(actions, active)
+        self._loaded = False
         made = self._entries(observations, *map(self._tensor, ended))
         made[GROUP, "reward"] = self._tensor(rewards).unsqueeze(-1)
         return made

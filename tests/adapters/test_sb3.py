@@ -179,7 +179,7 @@ def test_attributes_and_methods(kind):
     assert not env.has_attr("missing")
     env.set_attr("label", "mine")
     assert env.get_attr("label", indices=1) == ["mine"]
-    (shot,) = env.env_method("snapshot", indices=[env.num_envs - 1])
+    (shot,) = env.env_method("snapshot", indices=[-1])
     assert shot.field.name == "field_03"
     with pytest.raises(AttributeError):
         env.env_method("missing")
