@@ -92,7 +92,7 @@ def test_an_entry_is_made_again_and_nothing_else_is_replaced(zoo, run, tmp_path,
     shutil.copytree(zoo / "tiny", zoo / "other")
     for command in (["evaluate"], ["render", "-o", "a.gif"], ["watch"]):
         error = refusal([*command, "zoo:../tiny"])
-        assert "zoo:../tiny: " in error and "other, tiny" in error
+        assert "zoo:../tiny: " in error and "zoo:other, zoo:tiny" in error
 
 
 def test_what_makes_no_entry(run, tmp_path, refusal):
