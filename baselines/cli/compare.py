@@ -49,7 +49,7 @@ class Compare(Writes):
         if self.variants is not None:
             with collecting(problems):
                 config = replace(config, variants=read_variants(self.variants))
-        check_options("comparison", wrong | dict.fromkeys(problems, True))
+        check_options("comparison", wrong, problems)
         how = {name: getattr(self, name) for name in ("processes", "force", "resume", "wandb")}
         train_and_compare(config, self.out, command=command_line, **how)
         print(f"written to {self.out}: {WRITTEN}")
@@ -66,13 +66,9 @@ def train_and_compare(config: CompareConfig, out: Path, **options: Any) -> None:
     runs = config.runs()
     print(f"{len(runs)} runs of {config.steps:,} env-steps")
     with suppress(MbnError):  # train_all_runs lists all that is wrong
-        for run in runs:
-            if run.seed == runs[0].seed:
-                print(
-                    *(f"{run.shown_as} in {run.field}: {line}\n" for line in notes(run)),
-                    sep="",
-                    end="",
-                )
+        for run in replace(config, seeds=config.seeds[:1]).runs():
+            for line in notes(run):
+                print(f"{run.shown_as} in {run.field}: {line}")
     with progress_bars(runs) as show:
         results = train_all_runs(config, out, listener=show, **options)
     print_comparison(write_comparison(results, Place(out / PAGE, out)), console())
@@ -167,7 +163,7 @@ class Benchmark(Writes):
             check_known(self.source)
         with collecting(problems):
             tiers = benchmark.load_tiers(self.split, self.tiers or benchmark.load_protocol().tiers)
-        check_options("benchmark", wrong | dict.fromkeys(problems, True))
+        check_options("benchmark", wrong, problems)
         policy = f"{self.source}{behind(self.shield)}"
         name = re.sub(r"[^\w.-]+", "-", policy).strip("-")
         out = self.out or Path(f"runs/benchmark-{name}-{self.split}")

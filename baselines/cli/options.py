@@ -19,10 +19,10 @@ Output = Annotated[Path, arg(aliases=["-o"])]
 OptionalOutput = Annotated[Path | None, arg(aliases=["-o"])]
 
 
-def check_options(command: str, wrong: Mapping[str, object]) -> None:
-    """Raise a ConfigError with the keys of ``wrong``, each a problem, whose value is true."""
-    if problems := [problem for problem, found in wrong.items() if found]:
-        raise ConfigError(command, problems)
+def check_options(command: str, wrong: Mapping[str, object], problems: Sequence[str] = ()) -> None:
+    """Raise a ConfigError with the keys of ``wrong`` whose value is true, and with ``problems``."""
+    if found := [*(problem for problem, so in wrong.items() if so), *problems]:
+        raise ConfigError(command, found)
 
 
 def read_options(command: type[Command], words: Sequence[str], prog: str) -> Command:

@@ -56,7 +56,7 @@ class Plan(Writes):
         with collecting(problems):
             field = load_field(self.field)
             make_problem(field, make_config(settings))  # before anything is moved
-        check_options("plan", wrong | dict.fromkeys(problems, True))
+        check_options("plan", wrong, problems)
         folder = self.out or Path(f"runs/plan-{field.name}")
         if self.write and not self.force:
             makespan = proved_makespan(folder, field, settings)

@@ -102,8 +102,8 @@ def plan(
         velocities: (n, 2), of the robots at the starts, units/step; ``None``: they rest.
         visited: the ROIs that have been visited before, from 0 on; not all.
         time_limit: seconds after which the best interval so far is returned, not counting the
-            engine's compilation for a new configuration. Shortest paths and first bounds come
-            whatever the limit: 24 ROIs among 498 edges take half a minute.
+            engine's compilation for a new configuration. Shortest paths and first bounds are
+            always computed; with many ROIs and edges they take longer than a short limit.
         work_limit: if given, a limit of the work instead, in linear programs, so that the result
             does not depend on the machine's speed.
         **settings: the fields of :class:`mbn_marl.config.NavigationConfig`.

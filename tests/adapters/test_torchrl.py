@@ -175,7 +175,7 @@ def test_a_saved_world_that_had_ended_begins_again():
     assert not data["done"].any() and env.engine.running.all()
     env.load_state(env.save_state())
     env.step(push()(data))
-    env.reset()  # the state has been continued, so this begins anew
+    env.reset()  # a step used the loaded state, so this starts a new episode
     assert not env.engine.metrics(["steps"])["steps"].any()
     env.step(push()(env.reset()))
 
