@@ -1,6 +1,5 @@
 """Run a benchmark, print its tables, and write its figures as JSON into a folder."""
 
-import math
 import os
 import platform
 from collections.abc import Sequence
@@ -19,7 +18,7 @@ CPU = Path("/proc/cpuinfo")
 @dataclass(frozen=True)
 class Measurement:
     name: str
-    value: float | None  # None if it was not measured (the note says why), infinite for never
+    value: float | None  # None if it was not measured; the note says why
     unit: str
     target: float | None = None
     at_least: bool = True  # the target is a lower bound; otherwise it is an upper one
@@ -32,12 +31,10 @@ class Measurement:
         return bool(self.value >= self.target if self.at_least else self.value <= self.target)
 
     def to_json(self) -> dict[str, Any]:
-        value = None if self.value == math.inf else self.value
-        return {**asdict(self), "value": value, "met": self.met}
+        return {**asdict(self), "met": self.met}
 
     def words(self) -> tuple[str, ...]:
         value = "-" if self.value is None else f"{number(self.value)} {self.unit}".rstrip()
-        value = "never" if self.value == math.inf else value
         bound = ">=" if self.at_least else "<="
         target = "-" if self.target is None else f"{bound} {number(self.target)}"
         verdict = {True: "met", False: "missed", None: "-"}[self.met]
