@@ -21,15 +21,14 @@ _STYLES = ("page.css", "replay.css")
 _SCRIPTS = ("dom.js", "episode.js", "stage.js", "chart.js", "replay.js")
 
 
-def replay_page(episodes: Sequence[Episode], title: str | None = None) -> str:
+def replay_page(episodes: Sequence[Episode]) -> str:
     """Return a page that plays ``episodes``, at least one, on one clock."""
     if not episodes:
         raise MbnError("replay: at least one episode is needed")
     fields = ", ".join(dict.fromkeys(episode.field.name for episode in episodes))
     note = f"Recorded and replayed exactly by mbn_marl {__version__}."
     values = {"note": note, "episodes": episodes_data(episodes)}
-    title = f"Replay: {fields}" if title is None else title
-    return whole(title, _fill(_static("replay.html"), values))
+    return whole(f"Replay: {fields}", _fill(_static("replay.html"), values))
 
 
 def whole(title: str, body: str, *extra_styles: str) -> str:
