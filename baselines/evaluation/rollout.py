@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from baselines.evaluation.evaluate import roll_out
@@ -50,7 +49,7 @@ def write_episode(episode: Episode, path: Path, title: str | None = None) -> Non
     elif ending in ANIMATIONS:
         ANIMATIONS[ending](_frames(episode), path)
     else:
-        figures.save(draw_trajectories(episode, title), path)
+        figures.save(figures.trajectory_figure(episode.snapshot(episode.steps), title), path)
 
 
 def _frames(episode: Episode) -> Iterator[NDArray[np.uint8]]:
@@ -60,7 +59,3 @@ def _frames(episode: Episode) -> Iterator[NDArray[np.uint8]]:
         frame = viewer.draw(snapshot)
         assert frame is not None  # in this mode there always is one
         yield frame
-
-
-def draw_trajectories(episode: Episode, title: str | None = None) -> Figure:
-    return figures.trajectory_figure(episode.snapshot(episode.steps), title)
