@@ -1,1 +1,1 @@
-"""Parts of the documentation site made from the code: tables, and the check of docstrings."""
+"""Parts of the documentation site made from the code, and its equations and notebooks."""
