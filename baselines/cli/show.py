@@ -99,7 +99,9 @@ class Replay(Writes):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Window(Subject):
+class Watch(Subject):
+    """Watch a policy in a window. Space pauses, R starts it again, Escape closes it."""
+
     source: Positional[Annotated[str, arg(metavar="POLICY|FIELD")]]
     """As for `mbn evaluate`; or a field, with its policy of the zoo, else with random actions."""
     sampled: bool = False
@@ -138,12 +140,7 @@ class _Window(Subject):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Watch(_Window):
-    """Watch a policy in a window. Space pauses, R starts it again, Escape closes it."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Play(_Window):
+class Play(Watch):
     """Drive one robot with the arrow keys or W, A, S, D, while a policy drives the others."""
 
     robot: int = 0
