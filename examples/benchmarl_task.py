@@ -26,16 +26,13 @@ class Navigation(TaskClass):
     """A field and the settings of ``NavigationEnv``: ``Navigation("field_03", {...})``."""
 
     def get_env_fun(self, num_envs, continuous_actions, seed, device):
-        """Return what makes the environment."""
         settings = {"state": False, "team_reward": False, "metrics": ["success"], **self.config}
         return lambda: NavigationEnv(self.name, num_envs, seed=seed or 0, device=device, **settings)
 
     def supports_continuous_actions(self):
-        """Forces are continuous."""
         return True
 
     def supports_discrete_actions(self):
-        """Forces are continuous."""
         return False
 
     def has_render(self, env):
@@ -43,15 +40,12 @@ class Navigation(TaskClass):
         return False
 
     def max_steps(self, env):
-        """Return the time limit."""
         return env.engine.config.max_steps
 
     def group_map(self, env):
-        """Return the one group."""
         return env.group_map
 
     def observation_spec(self, env):
-        """Return the robots' own observations."""
         spec = env.full_observation_spec_unbatched
         return Composite(
             robots=Composite(observation=spec["robots", "observation"], shape=[env.n_agents])
@@ -64,7 +58,6 @@ class Navigation(TaskClass):
         """Critics see all observations."""
 
     def action_spec(self, env):
-        """Return the robots' forces."""
         return env.full_action_spec_unbatched
 
     def action_mask_spec(self, env):
@@ -85,7 +78,6 @@ class Navigation(TaskClass):
 
     @staticmethod
     def env_name():
-        """Return the name in the logs."""
         return "mbn_marl"
 
 

@@ -33,7 +33,6 @@ inputs, outputs = envs.single_observation_space.shape[0], int(np.prod(shape))
 
 
 def network(size: int, gain: float) -> nn.Sequential:
-    """Return a tanh network with two hidden layers."""
     layers = [nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, size)]
     for layer, scale in zip(layers[::2], (2**0.5, 2**0.5, gain), strict=True):
         nn.init.orthogonal_(layer.weight, scale)

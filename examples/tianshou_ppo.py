@@ -41,17 +41,14 @@ class World(gymnasium.Wrapper):
         self.action_space = flatten_space(self.env.action_space)
 
     def reset(self, **options):
-        """Start an episode."""
         return self.env.reset(**options)[0], {}
 
     def step(self, action):
-        """Move all robots."""
         state, reward, *ends, _ = self.env.step(action.reshape(self.env.action_space.shape))
         return state, REWARD_SCALE * reward, *ends, {}
 
 
 def network() -> Net:
-    """Return a tanh network with two hidden layers."""
     return Net(
         state_shape=one.observation_space.shape, hidden_sizes=[64, 64], activation=torch.nn.Tanh
     )

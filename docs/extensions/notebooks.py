@@ -17,7 +17,6 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 
 
 def notebooks() -> list[Path]:
-    """The notebooks of the site."""
     return sorted(FOLDER.glob("*.ipynb"))
 
 

@@ -36,7 +36,6 @@ class Table(SphinxDirective):
         raise NotImplementedError
 
     def run(self) -> list[nodes.Node]:
-        """The nodes of the table."""
         lines = [self.headings, ["---"] * len(self.headings), *self.rows()]
         text = [
             "| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in lines
@@ -80,7 +79,6 @@ class SettingsTable(Table):
     headings = ("setting", "default", "meaning")
 
     def rows(self) -> Rows:
-        """A row for each field of the configuration."""
         return [
             [f"`{name}`", f"`{getattr(field.default, 'name', field.default)!r}`", _meaning(name)]
             for name, field in NavigationConfig.model_fields.items()
@@ -100,7 +98,6 @@ class FieldsTable(Table):
     headings = ("field", "starts", "ROIs", "corners", "area, units²", "proved makespan, steps")
 
     def rows(self) -> Rows:
-        """A row for each field."""
         fields = [load_field(name) for name in catalogue_names()]
         return [
             [
@@ -116,7 +113,6 @@ class FieldsTable(Table):
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Make the directives known to Sphinx."""
     app.add_directive("observation-table", ObservationTable)
     app.add_directive("settings-table", SettingsTable)
     app.add_directive("fields-table", FieldsTable)
