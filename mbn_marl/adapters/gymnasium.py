@@ -164,18 +164,13 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         num_envs: number of worlds, W.
         field: a catalogue name, a path or a :class:`~mbn_marl.Field`, or a sequence of these;
             world w uses the one at ``w % len(field)``. Or a :class:`~mbn_marl.field.FieldSampler`.
-        n_robots: team size; ``None`` uses all the field's starts.
         render_mode: ``"rgb_array"`` or ``None``.
-        render_size: width and height of a frame, pixels, each at least 200.
         autoreset_mode: Gymnasium's mode or its value, also in ``metadata["autoreset_mode"]``; by
             default ``NEXT_STEP``, as Gymnasium's own vectors.
         max_episode_steps: Gymnasium's name of ``max_steps``; give only one of the two.
         threads: threads of the engine; ``None`` lets it choose.
-        **settings: the fields of :class:`~mbn_marl.config.NavigationConfig`.
 
-    Raises:
-        FieldError: listing every problem with the fields.
-        ConfigError: listing every problem with the settings.
+    Other arguments, and errors, are those of :class:`CentralizedEnv`.
     """
 
     def __init__(
