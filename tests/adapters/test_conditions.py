@@ -13,9 +13,8 @@ from mbn_marl import BatchEngine, centralized_env, parallel_env
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import CONDITIONS
-from tests.support import configurations
+from tests.support.configurations import STORM_OF_THREE as STORM
 
-STORM = {**configurations.STORM, "dynamics": ("holonomic", "unicycle", "bicycle")}
 OF_ID = {name: value for name, value in STORM.items() if name not in CONDITIONS["storm"]}
 pytestmark = pytest.mark.slow
 

@@ -262,7 +262,6 @@ TIES = {
 def follow(
     shape: dict[str, Any], script: list[list[tuple[float, float]]], dtype: str, **options: Any
 ) -> list[Step]:
-
     together, steps = Together(Field(**shape), dtype, 3, 1, **options), []
     for actions in script:
         steps.append(together.oracle.step(actions))

@@ -106,7 +106,6 @@ class TestBadInput:
         for call, error, place in (
             (lambda: centralized_env(autoreset=1), ConfigError, "autoreset: "),
             (lambda: CentralizedVectorEnv(2, seed=1), ConfigError, "seed: "),
-            (lambda: CentralizedVectorEnv(2, autoreset_mode="x"), ConfigError, "autoreset_mode: "),
             (
                 lambda: CentralizedVectorEnv(2, max_episode_steps=10, max_steps=11),
                 ConfigError,

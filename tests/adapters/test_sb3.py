@@ -20,8 +20,6 @@ from mbn_marl.errors import ActionError, ConfigError, MbnError, StepError
 
 WORLDS, ROBOTS, STEPS = 5, 3, 60
 LIVELY = {"max_steps": 25, "safety_distance": 50.0, "random_starts": True}
-
-
 BOTH = pytest.mark.parametrize("kind", [CentralizedVecEnv, SharedPolicyVecEnv])
 
 
@@ -175,7 +173,6 @@ def test_attributes_and_methods(kind):
     env.reset()
     assert env.render_mode is None
     assert env.get_attr("n_robots") == [ROBOTS] * env.num_envs
-
     assert not env.has_attr("missing")
     env.set_attr("label", "mine")
     assert env.get_attr("label", indices=1) == ["mine"]
@@ -229,7 +226,6 @@ def test_a_central_learner_can_see_what_all_robots_see():
         seen, _, dones, infos = joint.step(actions)
         theirs, _, _, others = robots.step(actions.reshape(-1, 2))
         np.testing.assert_array_equal(seen, theirs.reshape(WORLDS, size))
-
         for row in np.flatnonzero(dones):
             last = [one["terminal_observation"] for one in others[ROBOTS * row :][:ROBOTS]]
             np.testing.assert_array_equal(infos[row]["terminal_observation"], np.concatenate(last))

@@ -12,13 +12,12 @@ from mbn_marl import parallel_env
 from mbn_marl.adapters.torchrl import GROUP, METRICS, NavigationEnv
 from mbn_marl.engine import BatchEngine
 from mbn_marl.errors import ActionError, ConfigError, StepError
-from tests.support import configurations
+from tests.support.configurations import STORM_OF_THREE
 from tests.support.problems import places_of
 
 pytestmark = pytest.mark.slow
 WORLDS, STEPS = 6, 60
 LIVELY = {"max_steps": 25, "safety_distance": 50.0, "random_starts": True}
-STORM = {**configurations.STORM, "dynamics": ("holonomic", "unicycle", "bicycle")}
 
 
 def push(seed: int = 0) -> TensorDictModule:
@@ -69,31 +68,28 @@ def test_rollout_is_the_engine_step_by_step(transformed, dtype):
     data = play(TransformedEnv(env, StepCounter()) if transformed else env)
     engine = BatchEngine("field_03", WORLDS, seed=5, autoreset="disabled", **settings)
     observations = engine.reset()
-
     for now in data.unbind(1):
         np.testing.assert_array_equal(now[GROUP, "observation"], observations)
         np.testing.assert_array_equal(now["state"], engine.state())
         assert not now["done"].any()
         observations, rewards, terminated, truncated = engine.step(now[GROUP, "action"].numpy())
         after, metrics = now["next"], engine.metrics()
-
         np.testing.assert_array_equal(after[GROUP, "observation"], observations)
         np.testing.assert_array_equal(after["state"], engine.state())
         np.testing.assert_array_equal(after[GROUP, "reward"][..., 0], rewards)
         np.testing.assert_array_equal(after["team_reward"][:, 0], engine.team_rewards)
         np.testing.assert_array_equal(after["terminated"][:, 0], terminated)
         np.testing.assert_array_equal(after["truncated"][:, 0], truncated)
-
-        np.testing.assert_array_equal(after["done"][:, 0], terminated | truncated)
+        ended = terminated | truncated
+        np.testing.assert_array_equal(after["done"][:, 0], ended)
         for name in METRICS:
             expected = metrics[name].astype(np.float32)
             np.testing.assert_array_equal(after["metrics", name][:, 0], expected)
-        ended = terminated | truncated
         observations = engine.reset_worlds(ended)
     assert data["next", "terminated"].any() and data["next", "truncated"].any()
 
 
-@pytest.mark.parametrize("more", [{}, STORM], ids=["calm", "storm"])
+@pytest.mark.parametrize("more", [{}, STORM_OF_THREE], ids=["calm", "storm"])
 def test_own_maybe_reset_equals_torchrls(more):
     settings = more | {"field": "field_03", "num_worlds": WORLDS, "seed": 1} | LIVELY
     own = NavigationEnv(**settings)
@@ -189,15 +185,12 @@ def test_torch_compile_leaves_steps_alone():
 
 def test_sizes_and_metrics_are_checked_at_once():
     assert NavigationEnv("field_03", np.int64(2)).batch_size == (2,)
-    twice = ["success", "success"]
-    places = places_of(ConfigError, NavigationEnv, "field_03", 2.5, metrics=twice)
-    assert places == ["metrics", "num_worlds"]
+    wrong = {"metrics": ["success"] * 2, "state": "no", "team_reward": 1}
+    for worlds, more, place in ((2.5, {}, "num_worlds"), (2, {"colour": 1}, "colour")):
+        places = places_of(ConfigError, NavigationEnv, "field_03", worlds, **wrong, **more)
+        assert places == [*wrong, place]
     names = (name for name in ("success", "steps"))
     assert NavigationEnv("field_03", 2, metrics=names).reset().get("metrics", None) is not None
-    places = places_of(ConfigError, NavigationEnv, "field_03", 2, state="no", team_reward=1)
-    assert places == ["state", "team_reward"]
-    places = places_of(ConfigError, NavigationEnv, "field_03", 2, metrics=twice, colour=1)
-    assert places == ["metrics", "colour"]
     for metrics in (None, [1, "success"], [["success"]]):
         with pytest.raises(ConfigError, match="metrics: "):
             NavigationEnv("field_03", 2, metrics=metrics)

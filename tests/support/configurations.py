@@ -31,13 +31,12 @@ SIGHTS: dict[str, dict[str, Any]] = {
     **{name: {"observation": name} for name in ("lidar", "lidar_local")},
     "entities": {"observation": "entities", "assignment": True, "dtype": "float32"},
 }  # Settings beside `EVERYTHING` for each observation
-
-
 STORM: dict[str, Any] = {
     **{"observation": "entities", "assignment": True, **CONDITIONS["storm"]},
     **{"dynamics": "mixed", "mass": Uniform(0.8, 1.5), "tau": Uniform(0.8, 1.2)},
     **{"roi_radius": 20.0, "max_steps": 90},
 }  # The same with entities and an assignment, in float32; all of it does something
+STORM_OF_THREE = STORM | {"dynamics": ("holonomic", "unicycle", "bicycle")}
 SAMPLER = FieldSampler(FAMILIES, robots=(2, 4), rois=(2, 6), seed=5)
 
 
