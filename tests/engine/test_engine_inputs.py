@@ -207,7 +207,7 @@ BAD_SETTINGS = [
     ({"field": ALL, "n_robots": 3, "safety_distance": 14.0}, "n_robots safety_distance"),
     ({"field": ALL, "starts": np.zeros((4, 2))}, "starts"),
     ({"safety_distance": 500.0}, "safety_distance"),
-    ({"starts": [[1, 2], [3]]}, "starts"),
+    *(({"starts": starts}, "starts") for starts in ([[1, 2], [3]], np.zeros((2, 2)))),
     *(({"num_worlds": count}, "num_worlds") for count in (0, 1.5, 10**12)),
     ({"max_steps": 10**6, "num_worlds": 2**31 - 1}, "num_worlds"),  # no machine has room
     ({"first_world": True, "threads": 0, "device": "tpu"}, "first_world threads device"),
@@ -260,6 +260,8 @@ def test_all_arguments_are_checked_at_once():
         BatchEngine("field_03", 1, starts=starts)
     with pytest.raises(ConfigError, match=r"starts\[2\]: .*nan"):
         BatchEngine("field_03", 1, starts=[(120.0, 120.0), (150.0, 150.0), (np.nan, 1.0)])
+    with pytest.raises(ConfigError, match=r"starts: (.|\n)*random_starts"):
+        BatchEngine(FIELD, 1, starts=load_field(FIELD).starts, random_starts=True)
 
 
 def test_what_only_one_mode_keeps_is_refused_in_others():
