@@ -50,6 +50,7 @@ def test_cap_of_the_standard_deviation_stays_and_then_falls():
 
 
 SMALL = {"num_worlds": 4, "rollout_steps": 32, "hidden": [8]}
+TINY = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
 
 
 @pytest.mark.parametrize(("algorithm", "memory"), [("mappo", 0), ("ppo-joint", 0), ("mappo", 6)])
@@ -266,10 +267,9 @@ def test_a_policy_of_random_fields_goes_anywhere_but_wants_a_field(tmp_path, ref
 def test_a_run_begins_with_the_actor_of_another_one_and_multiplies_its_means(
     algorithm, setting, source, memory, gains, tmp_path
 ):
-    small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
     noise = {"log_std_start": -0.5, "log_std_cap": (9.0, 9.0)}
     # The actor keeps still in the first rollouts, of which there are two.
-    still = {**small, **noise, "learning_rate": (0.01, 0.01), "memory": memory}
+    still = {**TINY, **noise, "learning_rate": (0.01, 0.01), "memory": memory}
     still["first_gain"] = gains[0]
     begins = {"steps": 32, "episodes": 1, "transferred_from": Path(source)}
     tuned = train(
@@ -287,8 +287,7 @@ def test_a_run_begins_with_the_actor_of_another_one_and_multiplies_its_means(
 
 def test_the_critic_begins_with_the_actors_encoder_and_learns_first():
     begins = {"steps": 96, "transferred_from": Path("zoo:generalist")}
-    small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
-    task, found = prepare(TrainConfig("mappo", "field_03", "G", hyperparameters=small, **begins))
+    task, found = prepare(TrainConfig("mappo", "field_03", "G", hyperparameters=TINY, **begins))
     seen = []
 
     class Watched(Trainer):
@@ -315,7 +314,7 @@ def test_the_critic_begins_with_the_actors_encoder_and_learns_first():
 
 
 def test_each_robots_critic_begins_with_its_actors_encoder(monkeypatch):
-    small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1, **ALONE}
+    small = {**TINY, **ALONE}
     task, found = prepare(TrainConfig("ippo", "field_03", "G", hyperparameters=small, steps=96))
     made = Trainer(task, found, SimpleNamespace(checkpoint=None))
     monkeypatch.setattr(trainer, "load_trained", lambda source: made)
@@ -329,9 +328,8 @@ def test_a_run_of_a_tier_has_its_settings_and_its_bounds(tmp_path, monkeypatch):
     few = {name: search_side_by_side(name, math.inf)[:2] for name in ("validation", "test")}
     monkeypatch.setattr(run_logger, "search_side_by_side", lambda split, radius: few[split])
     heard = {"environment": {"comm_radius": math.inf}, "transferred_from": Path("zoo:generalist")}
-    small = {"num_worlds": 2, "rollout_steps": 8, "minibatches": 1}
     asked = TrainConfig(
-        *("mappo", "random_search", "G"), tier=SEARCH, steps=16, hyperparameters=small, **heard
+        *("mappo", "random_search", "G"), tier=SEARCH, steps=16, hyperparameters=TINY, **heard
     )
     found = train(replace(asked, episodes=2), tmp_path / "run").evaluation["deterministic"]
     assert found["per_episode"]["bounds"] == [one.makespan_lower_bound for one in few["test"]]
