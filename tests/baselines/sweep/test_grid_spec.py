@@ -1,17 +1,11 @@
 """Grids as files: what they declare, and every problem of one at once."""
 
-from typing import Any
-
 import yaml
 
 from baselines.sweep.spec import read_spec, runs_of
 from mbn_marl.field import Field, load_field, save_field
 from tests.support.grids import TINY, spec_of
 from tests.support.pages import FILE_NAME, ROOT, blocks_of
-
-
-def names_of(**changes: Any) -> list[str]:
-    return [run.name for run in runs_of(spec_of("runs", **changes))]
 
 
 def test_the_examples_are_what_the_page_says(tmp_path):
@@ -31,13 +25,15 @@ def test_the_examples_are_what_the_page_says(tmp_path):
 
 
 def test_axes_multiply_and_name_the_runs():
-    names = names_of(
+    spec = spec_of(
+        "runs",
         algorithms=["ppo", "mappo"],
         settings=["A", "N"],
         robots=[2, 3],
         seeds=[4, 5],
         set={"environment.wind": [[0.1, 30]]},
     )
+    names = [run.name for run in runs_of(spec)]
     assert len(names) == len(set(names)) == 3 * 2 * 2
     assert names[0] == "ppo-A-2robots-wind0.1+30-field_03-seed4"
     assert "mappo-3robots-wind0.1+30-field_03-seed5" in names
