@@ -66,7 +66,6 @@ def test_folder_with_every_row_is_written_once(tmp_path, monkeypatch, capsys, fi
     stored = json.loads((tmp_path / "bench" / "speed.json").read_text())
     assert stored["command"].startswith("python -m benchmarks speed --out ")
     assert stored["rows"] == rows and stored["machine"]["packages"]["numba"]
-
     assert main(words) == 2
     assert "--force" in capsys.readouterr().err
 

@@ -48,7 +48,6 @@ def test_instances_are_proved_and_an_interrupted_run_goes_on(made, tmp_path, mon
         again.run("command")
     assert len(read_json(tmp_path / made.name)["instances"]) == 1
     assert again.run("command") and len(calls) == 4
-
     again_made = read_json(tmp_path / made.name)["instances"]
     for one, other in zip(again_made, record["instances"], strict=True):
         assert one == {**other, "seconds": one["seconds"]}

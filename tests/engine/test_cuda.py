@@ -23,10 +23,10 @@ from mbn_marl.engine.tables import make_geometry, sizes_of
 from mbn_marl.errors import ConfigError
 from mbn_marl.field import FieldSampler, load_field
 from mbn_marl.field.generator.layout import FAMILIES
+from tests.support.pages import ROOT
 from tests.support.problems import places_of
 from tests.support.worlds import KINDS, OWN
 
-ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.all
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")
 MOST_LOCAL_BYTES = 128

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from mbn_marl.errors import MbnError
 from mbn_marl.field import Field
 from mbn_marl.render import figures, style
-from tests.support.pictures import SQUARE, snapshot
+from tests.support.pictures import HOLE, SQUARE, snapshot
 
-HOLE = [(180.0, 180.0), (220.0, 180.0), (220.0, 220.0), (180.0, 220.0)]
 ROIS = [(150.0, 150.0), (250.0, 250.0)]
 STARTS = [(120.0, 200.0), (280.0, 200.0)]
 FIELD = Field(SQUARE, ROIS, STARTS)

@@ -3,7 +3,6 @@
 import re
 import sys
 import time
-from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
@@ -21,10 +20,10 @@ from mbn_marl.sim3d.coppeliasim import CoppeliaSimulator
 from mbn_marl.sim3d.scene import SPRAYED
 from tests.support.coppelia_server import RUNNING, STOPPED, CoppeliaServer, free_port
 from tests.support.field_cases import square
-from tests.support.pages import Block, check_command, commands_of
+from tests.support.pages import ROOT, Block, check_command, commands_of
 
 pytestmark = pytest.mark.slow
-PAGE = Path(__file__).parents[2] / "docs" / "coppeliasim.md"
+PAGE = ROOT / "docs" / "coppeliasim.md"
 SHORT = 0.3  # seconds that a server has here to answer which will not
 # Two robots, a hole between them and most ROIs; the middle is (50, 50).
 ORCHARD = square(rois=[(90.0, 90.0), (90.0, 10.0), (50.0, 80.0)])

@@ -21,8 +21,6 @@ from tests.support.records import make_run
 
 CATALOGUE = Path(__file__).parents[3] / "envs_catalog"
 TINY = ("--steps", "1", "--evaluate-every", "4096", "--episodes", "2")
-
-
 pytestmark = pytest.mark.slow
 
 

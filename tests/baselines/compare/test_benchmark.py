@@ -65,8 +65,6 @@ class Fussy(Small):
 class Fixed(Fussy):
     settings = {"n_robots": 3}
 """
-
-
 FAR = (
     OWN
     + """

@@ -146,7 +146,6 @@ def test_only_finished_runs_are_compared(tmp_path):
     (run.path / "evaluation.json").unlink()
     with pytest.raises(RunError, match=r"evaluation\.json"):
         find_records([tmp_path])
-
     (tmp_path / "empty").mkdir()
     with pytest.raises(RunError, match="empty"):
         find_records([tmp_path / "empty"])

@@ -93,7 +93,6 @@ def test_a_grid_survives_the_loss_of_a_node(cluster, tmp_path):
     finally:
         driver.kill()
     assert driver.returncode == 0
-
     names = [run.name for run in runs_of(read_spec(there))]
     ended = sorted(line for line in said.splitlines() if "seed" in line)
     assert len(names) == 24
