@@ -49,9 +49,11 @@ def small_config(name: str, setting: Setting = "N") -> TrainConfig:
     return TrainConfig(name, "field_03", setting, **budget, **changes)
 
 
-def interrupted(config: TrainConfig, out: Path, **options: Any) -> RunFolder:
+def interrupted(config: TrainConfig, out: Path, after: int = 0, **options: Any) -> RunFolder:
+    """A run that is cut off by its first checkpoint after so many steps."""
+
     def interrupt(report: Report) -> None:
-        if (out / "checkpoints").exists():
+        if RunFolder(out).saved_steps > after:
             raise InterruptedError
 
     with pytest.raises(InterruptedError):

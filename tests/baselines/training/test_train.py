@@ -131,7 +131,6 @@ def test_interrupted_run_says_where_it_can_be_resumed_and_gives_threads_back(tmp
     threads = [3]
     monkeypatch.setattr(torch, "get_num_threads", lambda: threads[-1])
     monkeypatch.setattr(torch, "set_num_threads", threads.append)
-
     with pytest.raises(KeyboardInterrupt, match=rf"{tmp_path}.*--resume"):
         train(SMALL, tmp_path / "run", listener=MagicMock(side_effect=KeyboardInterrupt))
     assert threads == [3, 1, 3]
@@ -239,12 +238,16 @@ def test_field_of_two_robots_is_solved_to_the_optimum(algorithm, tmp_path):
     assert 0.999 * OPTIMUM < mean["return_mean"] <= OPTIMUM
 
 
-@pytest.mark.parametrize("name", ["trpo", "mappo"])
-def test_a_run_of_two_learners_resumes_in_the_second(name, tmp_path, monkeypatch):
+@pytest.fixture
+def small_learners(monkeypatch):
     monkeypatch.setattr(recorder, "ROW_STEPS", 1)
     for module in ("train", "run_logger"):
         monkeypatch.setattr(f"baselines.training.{module}.LEAST_STEPS", 128)
 
+
+@pytest.mark.usefixtures("small_learners")
+@pytest.mark.parametrize("name", ["trpo", "mappo"])
+def test_a_run_of_two_learners_resumes_in_the_second(name, tmp_path, monkeypatch):
     def perfect(*policy_and_place: Any, **how: Any) -> Evaluation:
         found = evaluate(*policy_and_place, **how)
         return replace(found, successes=[True] * len(found.returns))
@@ -257,13 +260,7 @@ def test_a_run_of_two_learners_resumes_in_the_second(name, tmp_path, monkeypatch
     half, taken = steps[1], whole.evaluation["env_steps"]
     assert half < 400 <= taken == steps[-1] < 2 * half and steps == sorted(set(steps))
 
-    def interrupt(report: Report) -> None:
-        saved = RunFolder.open(tmp_path / "run").checkpoint
-        if saved is not None and int(saved.name) > half:
-            raise InterruptedError
-
-    with pytest.raises(InterruptedError):
-        train(config, tmp_path / "run", listener=interrupt)
+    interrupted(config, tmp_path / "run", after=half)
     assert_equal(train(config, tmp_path / "run", resume=True), whole)
     assert notes(config)[-1].endswith("takes up to 512 env-steps, not 400")
     # Without a perfect policy the first learner takes all, unless its curriculum has not begun.
@@ -277,10 +274,8 @@ def test_a_run_of_two_learners_resumes_in_the_second(name, tmp_path, monkeypatch
         assert len(learners) == count
 
 
+@pytest.mark.usefixtures("small_learners")
 def test_the_last_policy_of_each_learner_is_measured_with_its_gain(tmp_path, monkeypatch):
-    monkeypatch.setattr(recorder, "ROW_STEPS", 1)
-    for module in ("train", "run_logger"):
-        monkeypatch.setattr(f"baselines.training.{module}.LEAST_STEPS", 128)
     seen = []
 
     def perfect(policy: Any, *place: Any, **how: Any) -> Evaluation:
