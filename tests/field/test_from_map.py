@@ -174,11 +174,5 @@ def test_command(tmp_path, capsys):
     assert main([*words, "-o", str(out), "--metres-per-unit", "0.5"]) == 0
     assert load_field(out).vertices.max() == 800
     assert "a unit is 0.5 m" in capsys.readouterr().out
-    for more in (
-        ["-o", str(out)],
-        ["field_03"],
-        ["--generate", "farm"],
-        ["--metres-per-unit", "0"],
-    ):
+    for more in (["-o", str(out)], ["--generate", "farm"], ["--metres-per-unit", "0"]):
         assert main([*words, *more]) == 2
-    assert main(["fields", "--metres-per-unit", "2"]) == 2

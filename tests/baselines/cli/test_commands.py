@@ -53,7 +53,7 @@ def test_train_records_the_run_and_evaluate_repeats_its_evaluation(tmp_path, ref
         ("train pppo feld_03 --seed -1 --label a/b", ["seed: ", "label: ", "pppo: ", "feld_03: "]),
         ("train ippo field_03 --set gama=1 clip=x", ["gama: ", "clip: "]),
         ("train ippo field_03 --set environment.max_step=5", ["max_step: "]),
-        (f"compare --fields field_03 {CATALOGUE}/field_03.yaml", ["fields: "]),
+        (f"compare --fields field_03 {CATALOGUE}/field_03.yaml", ["two are named field_03"]),
         ("compare --processes 0 --force --resume", ["processes: ", "force and resume: "]),
         ("compare --processes 0 --variants none.yaml", ["processes: ", "none.yaml: "]),
         ("compare --resume --out none", ["none"]),

@@ -11,7 +11,6 @@ from baselines.training.config import Hyperparameters, TrainConfig, parse, words
 from baselines.training.train import prepare
 from mbn_marl import Uniform
 from mbn_marl.errors import ConfigError
-from mbn_marl.field import load_field, save_field
 
 AIDS = TrainingAids.model_fields.keys() - Hyperparameters.model_fields.keys()
 
@@ -72,12 +71,6 @@ def test_variants_in_a_file_have_labels(tmp_path):
         read_variants(path)
     with pytest.raises(ConfigError, match="label: "):
         TrainConfig("ippo", "field_03", label="a/b")
-
-
-def test_two_fields_of_one_name_are_refused_before_training(tmp_path):
-    save_field(load_field("field_03"), tmp_path / "mine.yaml")
-    with pytest.raises(ConfigError, match="fields: two are named field_03"):
-        CompareConfig(fields=("field_03", str(tmp_path / "mine.yaml")))
 
 
 def test_the_default_compares_like_with_like():
