@@ -133,8 +133,7 @@ def _seen_by(network: GaussianPolicy | ValueNetwork, key: object) -> list[bool]:
     after = before.clone()
     after[:, 2] += 1.0
     outputs = [network(TensorDict({Key.NORMALIZED: seen}, (5,)))[key] for seen in (before, after)]
-    changed = ((outputs[0] - outputs[1]).abs().amax((0, -1)) > 1e-6).tolist()
-    return changed
+    return ((outputs[0] - outputs[1]).abs().amax((0, -1)) > 1e-6).tolist()
 
 
 def test_only_central_critics_and_actors_see_the_other_robots():

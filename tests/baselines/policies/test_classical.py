@@ -107,9 +107,7 @@ def test_mbn_plan_prints_draws_and_saves(tmp_path, capsys, refusal):
     assert (episode.steps, episode.team_return) == (17, 159_490.0)
     before = sorted(tmp_path.iterdir())
     assert str(out) in refusal(["plan", "field_03", "-o", str(out)])
-    for wrong in (["--n-robots", "9"], ["--time-limit", "-1"], ["--wind", "nan", "0"]):
-        error = refusal(["plan", "field_03", *wrong, "-o", str(out), "--force"])
-        assert wrong[0][2:].replace("-", "_") in error
+    assert "wind" in refusal(["plan", "field_03", "--wind", "nan", "0", "-o", str(out), "--force"])
     assert sorted(tmp_path.iterdir()) == before
 
 
