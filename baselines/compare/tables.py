@@ -29,8 +29,8 @@ HEADINGS = ("algo", "sees", "C/D", "pass", "gap", "success")
 
 
 def print_comparison(comparison: Comparison, console: Console) -> None:
-    console.print(comparison.question, markup=False)
-    console.print(comparison.verdict, "\n", markup=False)
+    console.print(comparison.question)
+    console.print(comparison.verdict, "\n")
     for title, table in (field_tables(comparison) | overall_tables(comparison)).items():
         table.print(title, console)
         console.print()

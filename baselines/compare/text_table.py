@@ -75,7 +75,7 @@ class TextTable:
         screen = screen or console()
         look: dict[str, Any] = {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0), "pad_edge": False}
         if title:
-            screen.print(title, style="table.title", markup=False, highlight=False, soft_wrap=True)
+            screen.print(title, style="table.title", highlight=False, soft_wrap=True)
         for block in self._blocks(screen.width):
             table = Table(**look)
             for k in block:
@@ -85,7 +85,7 @@ class TextTable:
                 table.add_row(*(line[k] for k in block))
             screen.print(table)
         if self.caption:
-            screen.print(self.caption, markup=False)
+            screen.print(self.caption)
 
     def _blocks(self, width: int) -> list[list[int]]:
         # Columns that fit side by side, each block after the columns that name the row: a cell is

@@ -219,7 +219,7 @@ def test_an_entry_that_no_run_writes_is_named(file, path, value, tmp_path):
     assert not path or str(path[-1]) in str(caught.value)
 
 
-def test_words_stay_in_their_cells():
+def test_words_stay_in_their_cells(capsys):
     words = ("a | b\n## c", "<img src=x>", r"\input{x}$^~")
     table = TextTable("c", ("x", "y", "z"), (words,), words=3)
     assert (
@@ -233,6 +233,9 @@ def test_words_stay_in_their_cells():
     signs = DataFrame({"label": ["=1+2", "+1", "-x", "@x", "plain"], "number": [-1.0, 2, 3, 4, 5]})
     rows = ["label,number", "'=1+2,-1.0", "'+1,2.0", "'-x,3.0", "'@x,4.0", "plain,5.0"]
     assert csv_text(signs).splitlines() == rows
+    TextTable("a [c]", ("[b]", "x"), (("runs[old]/[/a]:x:", "1"),)).print("[t]")
+    said = capsys.readouterr().out
+    assert all(word in said for word in ("[t]", "[b]", "runs[old]/[/a]:x:", "a [c]")), said
 
 
 def test_a_narrow_terminal_breaks_no_word():
