@@ -167,9 +167,9 @@ class Benchmark(Writes):
         policy = f"{self.source}{behind(self.shield)}"
         name = re.sub(r"[^\w.-]+", "-", policy).strip("-")
         out = self.out or Path(f"runs/benchmark-{name}-{self.split}")
-        if not self.resume:
+        # A folder without a result may be another's, whose files would be written over.
+        if not (self.resume and (out / benchmark.RESULT).exists()):
             claim_folder(out, force=self.force)
-        out.mkdir(parents=True, exist_ok=True)
         with alone(out, "mbn benchmark"), Progress(console=console(), transient=True) as progress:
             task = progress.add_task(name, total=sum(map(len, tiers.values())))
             how: dict[str, Any] = {"command": command_line, "shield": self.shield}

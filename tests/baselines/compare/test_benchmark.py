@@ -310,6 +310,9 @@ def test_the_command(tmp_path, capsys, refusal):
         assert "another mbn benchmark" in refusal([*words, "--resume"])
     assert main([*words, "--resume"]) == 0
     assert "1-convex-median.json" in (out / "page.html").read_text()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "page.html").write_text("mine")
+    assert "already exists" in refusal([*words[:-1], str(tmp_path / "mine"), "--resume"])
     assert main([*words, "--force"]) == 0 and (tmp_path / "out.1" / "result.json").exists()
     wrong = refusal(["benchmark", "greedy", "--tiers", "convex", "2-size"])
     assert "convex" in wrong and "2-size" in wrong
