@@ -104,9 +104,10 @@ class Report(Writes):
         page = is_page(self.out)
         inputs = [run.resolve() for run in self.runs]
         folder = Place.of(self.out, "").folder.resolve()
-        # An earlier report of the paper has no runs in it, and may be replaced.
-        holds_runs = self.comparison or any(folder.rglob("config.json"))
-        lost = any(folder in run.parents for run in inputs) or (folder in inputs and holds_runs)
+        # An earlier report has no runs in it, and may be replaced.
+        holds = any(folder.rglob("config.json"))
+        lost = folder in inputs and (self.comparison or holds)
+        lost |= any(folder in run.parents or (holds and run in folder.parents) for run in inputs)
         wrong = {
             f"out: {self.out} would replace a RUN; choose another": lost and not page,
             f"out: --paper writes a folder or .md, not {self.out}": page and self.paper,

@@ -217,8 +217,8 @@ def test_of_two_runs_of_a_cell_the_finished_one_is_taken(tmp_path):
 @pytest.mark.parametrize("kind", ["--comparison", "--paper"])
 def test_a_report_never_moves_its_runs_aside(kind, tmp_path, refusal):
     run = make_run(tmp_path / "all" / "one", [(1, 0, 0, 0, 0)])
-    for given in (run, run.parent):
-        words = ["report", kind, str(given), "-o", str(run.parent), "--force"]
+    for given, out in ((run, run.parent), (run.parent, run.parent), (run.parent, run)):
+        words = ["report", kind, str(given), "-o", str(out), "--force"]
         assert "would replace a RUN" in refusal(words) and run.is_dir()
 
 
