@@ -55,6 +55,8 @@ def claim_file(path: Path, *, force: bool = False) -> Path:
 
 
 def free_name(path: Path) -> Path:
+    if path.name in ("", ".."):
+        raise MbnError(f"{path} cannot be moved aside; choose another folder")
     number = 1
     while (candidate := path.with_name(f"{path.name}.{number}")).exists():
         number += 1

@@ -47,10 +47,11 @@ def claim_folder(path: Path, *, force: bool = False) -> Path:
             raise RunError(
                 f"{path} already exists; choose another folder, or pass --force to move it aside"
             )
+        aside = free_name(path)  # raises for ".", before locks are touched
         for lock in list(path.rglob(LOCK)):
             with alone(lock.parent, "mbn"):
                 pass
-        path.rename(free_name(path))
+        path.rename(aside)
     path.mkdir(parents=True, exist_ok=True)
     return path
 

@@ -30,7 +30,7 @@ from mbn_marl.field import load_field
 from tests.support.runs import small_config
 
 
-def test_a_folder_is_claimed_without_loss(tmp_path):
+def test_a_folder_is_claimed_without_loss(tmp_path, monkeypatch):
     folder = tmp_path / "run"
     for content in ("first", "second"):
         assert claim_folder(folder, force=True) == folder
@@ -50,6 +50,9 @@ def test_a_folder_is_claimed_without_loss(tmp_path):
         claim_folder(folder)
     with pytest.raises(MbnError, match="UTF-8"):
         claim_folder(tmp_path / "\udcff")
+    monkeypatch.chdir(folder)
+    with pytest.raises(MbnError, match="aside"):
+        claim_folder(Path(), force=True)
     (tmp_path / "file").touch()
     with pytest.raises(RunError, match="file"):
         claim_folder(tmp_path / "file", force=True)
