@@ -27,7 +27,8 @@ ZOO = "zoo"
 
 def entry_names() -> list[str]:
     found = [path.parent for path in ENTRIES.glob(f"*/{CARD}")]
-    return sorted(entry.name for entry in found if not entry.suffix)  # .1 was moved aside
+    # NAME.1 was moved aside for NAME; a label may have dots too.
+    return sorted(one.name for one in found if not (one.suffix and one.with_suffix("") in found))
 
 
 def open_run(source: str) -> RunFolder:

@@ -83,7 +83,9 @@ def test_an_entry_is_made_again_and_nothing_else_is_replaced(zoo, run, tmp_path,
     assert "--force" in refusal(again)
     assert main([*again, "--force"]) == 0
     assert (entry / "field.yaml").is_file() and (zoo / "tiny.1" / "card.json").is_file()
-    assert load.entry_names() == ["tiny"]
+    shutil.copytree(entry, zoo / "gamma-0.9")
+    assert load.entry_names() == ["gamma-0.9", "tiny"]
+    shutil.rmtree(zoo / "gamma-0.9")
     mine.mkdir()
     (mine / "dear").touch()
     with pytest.raises(RunError, match="mine"):
