@@ -92,7 +92,8 @@ class Replay(Writes):
             replace(check_episode(episode, str(path)), source=f"{episode.source} ({path})")
             for path, episode in episodes.items()
         ]
-        write_text(claim_file(self.out, force=self.force), replay_page(shown))
+        page = replay_page(shown)
+        write_text(claim_file(self.out, force=self.force), page)
         for episode in episodes.values():
             print(f"{episode.source}: {result(episode)}; replayed exactly")
         print(f"written to {self.out}")

@@ -201,6 +201,7 @@ def test_replay_writes_a_page_and_nothing_over_another(recorded, tmp_path, capsy
     assert f"waiting ({other})" in text
     assert "://" not in text.replace("http://www.w3.org/2000/svg", "")
     assert "page.html" in refusal(["replay", str(other), "-o", str(out)])
+    assert "at least one" in refusal(["replay", "-o", str(out), "--force"])
     assert out.read_text() == text
 
 
