@@ -95,6 +95,7 @@ class Episode:
             safety_distance=config.safety_distance,
             success=last and self.outcome == "success",
             collision=last and self.outcome == "collision",
+            empty=np.False_ if known is None else known.empty,
             heard=np.False_ if known is None else known.heard[step],
         )
 

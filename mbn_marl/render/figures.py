@@ -92,7 +92,8 @@ def trajectory_panels(lasts: Mapping[str, Snapshot], *, columns: int = 3) -> Fig
     tall = _PANEL_WIDTH * max((height / width for width, height in sides), default=1.0)
     figure, grid = _panels("panels", len(lasts), columns, _PANEL_WIDTH, tall + _TITLES)
     for axes, (title, last) in zip(grid, lasts.items(), strict=True):
-        visited = f"{int(last.visited.sum())} of {len(last.visited)} ROIs"
+        count = len(last.visited) - np.count_nonzero(last.empty)
+        visited = f"{int(last.visited.sum())} of {count} ROIs"
         outcome = "collision" if last.collision else "success" if last.success else visited
         second = f"{outcome}, {last.step} steps, return {last.team_return:,.0f}"
         _draw_place(axes, last, f"{title}\n{second}", numbered=True)

@@ -145,7 +145,8 @@ class Scene:
         visited = int(np.count_nonzero(snapshot.visited))
         self._write(f"step {snapshot.step}", style.INK, (left, rows[0]))
         self._write(f"return {shown.replace('-', _MINUS)}", style.INK, (column, rows[0]))
-        self._write(f"ROIs {visited}/{len(snapshot.visited)}", style.INK, (left, rows[1]))
+        count = len(snapshot.visited) - np.count_nonzero(snapshot.empty)
+        self._write(f"ROIs {visited}/{count}", style.INK, (left, rows[1]))
         if snapshot.collision:
             self._write("collision", style.WHITE, (column, rows[1]), style.COLLISION)
         elif snapshot.success:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,12 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from mbn_marl.config import make_config
+from mbn_marl.episode import play
 from mbn_marl.errors import MbnError
-from mbn_marl.field import Field
+from mbn_marl.field import Field, load_field
 from mbn_marl.render import figures, style
-from tests.support.pictures import HOLE, SQUARE, snapshot
+from tests.support.pictures import HOLE, SQUARE, draw, snapshot
 
 ROIS = [(150.0, 150.0), (250.0, 250.0)]
 STARTS = [(120.0, 200.0), (280.0, 200.0)]
@@ -114,6 +117,16 @@ def test_collision_is_marked_between_the_closest_robots_that_have_not_vanished()
     assert "collision" in labels_of(figure)
     for one in (figure, figures.trajectory_panels({"one": moment})):
         assert marked(one, "s") == [[[284.0, 203.0]]]
+
+
+def test_empty_rois_are_not_counted():
+    own = {"knowledge": "own", "observation": "entities", "sensing_radius": 100.0}
+    config = make_config({**own, "empty_rois": (0, 3)})
+    moment = play(load_field("field_03"), config, np.zeros((1, 3, 2))).snapshot(1)
+    (axes,) = figures.trajectory_panels({"one": moment}).axes
+    assert f"{moment.visited.sum()} of 4 ROIs" in axes.get_title(loc="left")
+    shown = (draw(one)[:44] for one in (moment, replace(moment, empty=np.False_)))
+    assert not np.array_equal(*shown), "the count in the header"
 
 
 @pytest.mark.parametrize("wind", [(0.3, 0.0), (-0.1, 0.2)])
