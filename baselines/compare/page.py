@@ -38,7 +38,7 @@ def figures_html(figures: Mapping[str, Figure]) -> str:
 def _figure(title: str, figure: Figure) -> str:
     # An image, not parts of the page: names inside two pictures may be the same.
     stream = io.BytesIO()
-    figure.savefig(stream, format="svg")
+    figure.savefig(stream, format="svg", metadata={"Date": None})
     data, name = base64.b64encode(stream.getvalue()).decode("ascii"), escape(title)
     picture = f'<div><img alt="{name}" src="data:image/svg+xml;base64,{data}"></div>'
     return f"<figure>{picture}<figcaption>{name}</figcaption></figure>"

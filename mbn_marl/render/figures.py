@@ -135,8 +135,9 @@ def check_name(path: Path) -> Path:
 def save(figure: Figure, path: str | Path) -> Path:
     """Write ``figure`` as PNG, PDF or SVG, as the end of ``path`` says, and return ``path``."""
     path = check_name(Path(path))
+    undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(path.suffix.lower())
     with replacing(path) as temporary:
-        figure.savefig(temporary)
+        figure.savefig(temporary, metadata=undated)
     return path
 
 

@@ -62,6 +62,7 @@ MATPLOTLIB: Final[dict[Any, Any]] = {
     "legend.fontsize": 8.0,
     "lines.solid_capstyle": "round",
     "savefig.dpi": 200,
+    "svg.hashsalt": "mbn_marl",  # so that the same figure is the same file
     "savefig.bbox": "tight",
     "savefig.pad_inches": 0.06,
     "pdf.fonttype": 42,
