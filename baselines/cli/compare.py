@@ -115,6 +115,7 @@ class Report(Writes):
             and self.paper == self.comparison,
             "study and notes: allowed with --paper": not self.paper and (self.study or self.notes),
             "marl_eval: allowed with a comparison": self.paper and self.marl_eval,
+            "marl_eval: allowed is another file than out": self.marl_eval == self.out,
             "RUN: at least one folder is needed": not self.runs,
         }
         check_options("report", wrong)

@@ -47,7 +47,10 @@ class Evaluate(Subject):
         from mbn_marl.episode import save_episode
 
         seed = evaluate.EVALUATION_SEED if self.seed is None else self.seed
-        wrong = {f"episodes: at least 1, not {self.episodes}": self.episodes < 1}
+        wrong = {
+            f"episodes: at least 1, not {self.episodes}": self.episodes < 1,
+            "json and record: allowed are two names": self.json and self.json == self.record,
+        }
         check_options("evaluation", wrong | dict.fromkeys(reset_problems(seed, 0), True))
         actor = find_policy(self.source, self.field, seed=seed, **self.asked)
         if is_trained(self.source) and (unfinished := open_run(self.source).unfinished):

@@ -78,6 +78,7 @@ def test_train_records_the_run_and_evaluate_repeats_its_evaluation(tmp_path, ref
         ("fields --generate farm farm", ["generate: farm, farm"]),
         ("fields --generate farm --out some --figure a.txt", ["a.txt"]),
         ("evaluate greedy --field field_03 --seed -1", ["seed: -1"]),
+        ("evaluate greedy --field field_03 --json a --record a", ["json and record: "]),
         ("plan field_03 --write", ["write: "]),
         (f"plan {CATALOGUE}/field_03.yaml --wind 0.1 0 --write", ["write: "]),
         ("transfer ippo", ["settings: "]),

@@ -232,6 +232,7 @@ def test_a_report_never_moves_its_runs_aside(kind, tmp_path, refusal):
         ("--paper runs --notes latin.md", "latin.md"),
         ("--paper runs copy", "copy"),
         ("--paper old", "config.json"),
+        ("--comparison runs --marl-eval out", "marl_eval: "),
     ],
 )
 def test_wrong_input_is_refused_by_place(words, place, tmp_path, refusal):
