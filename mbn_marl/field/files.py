@@ -68,10 +68,7 @@ def load_field(source: str | os.PathLike[str] | Field) -> Field:
         return source
     if isinstance(source, str) and source in catalogue_names():
         return _catalogue_field(source)
-    location = os.fspath(source) if isinstance(source, str | os.PathLike) else None
-    if not isinstance(location, str):
-        kind = type(source).__name__
-        raise FieldError("field", [f"source: expected a name, a path or a Field, got {kind}"])
+    location = location_of(source, "a name, a path or a Field")
     path, wanted = split_location(location)
     document, name = parse_yaml(read_bytes(Path(path)), path), name_from(Path(path).stem)
     if isinstance(document, dict) and document and all(map(_is_set, document.values())):
@@ -134,6 +131,15 @@ def save_field(field: Field | FieldSampler, path: str | os.PathLike[str]) -> Non
 @cache
 def _catalogue_field(name: str) -> Field:
     return _field_of(parse_yaml((_CATALOGUE / f"{name}.yaml").read_bytes(), name), name, name)
+
+
+def location_of(source: object, allowed: str) -> str:
+    """Return a name, or a path as text."""
+    location = os.fspath(source) if isinstance(source, str | os.PathLike) else None
+    if not isinstance(location, str):
+        problem = f"source: expected {allowed}, got {type(source).__name__}"
+        raise FieldError("field", [problem])
+    return location
 
 
 def split_location(location: str) -> tuple[str, str | None]:

@@ -8,21 +8,22 @@ import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 import shapely
+from pydantic import Field as Described
 from shapely.errors import ShapelyError
 from shapely.geometry import mapping, shape
 
-from mbn_marl.errors import ConfigError, FieldError
+from mbn_marl.config import Checked, RealNumber
+from mbn_marl.errors import FieldError
 from mbn_marl.field.field import Field
-from mbn_marl.field.files import name_from, read_bytes, split_location
+from mbn_marl.field.files import location_of, name_from, read_bytes, split_location
 from mbn_marl.field.generator.layout import MILLI, ROIS_APART, STARTS_APART, WALL
-from mbn_marl.field.generator.sampler import FieldSampler
+from mbn_marl.field.generator.sampler import Robots, Rois, Seed
 from mbn_marl.field.schema import MAX_COORDINATE, MAX_VERTICES, ROI_RADIUS
 
 Coordinates = npt.NDArray[np.float64]  # (k, 2)
@@ -41,6 +42,19 @@ RADIUS, ECCENTRICITY_SQUARED = 6_378_137.0, 0.00669437999014
 CANDIDATES = 200
 """Random points that are compared for each ROI or start that is placed."""
 ALLOWED = "Polygon, MultiPolygon, Point, MultiPoint, or a collection of such, numbers below 1e9"
+
+
+class _Numbers(Checked):
+    """The arguments of :func:`load_map` that are numbers."""
+
+    robots: Robots
+    rois: Rois
+    seed: Seed
+    metres_per_unit: Annotated[RealNumber, Described(gt=0.0, allow_inf_nan=False)]
+
+    @classmethod
+    def _source(cls) -> str:
+        return "map"
 
 
 @dataclass(frozen=True)
@@ -78,16 +92,8 @@ def load_map(
         FieldError: listing every problem with its place.
         ConfigError: listing every argument that is not in its range.
     """
-    problems: list[str] = []
-    try:
-        FieldSampler(robots=robots, rois=rois, seed=seed)  # checks the numbers
-    except ConfigError as error:
-        problems += error.problems
-    if not isinstance(metres_per_unit, Real) or not 0.0 < metres_per_unit < math.inf:
-        problems.append(f"metres_per_unit: {metres_per_unit!r}; allowed: a number above 0")
-    if problems:
-        raise ConfigError("map", problems)
-    path, wanted = split_location(os.fspath(source))
+    given = _Numbers(robots=robots, rois=rois, seed=seed, metres_per_unit=metres_per_unit)
+    path, wanted = split_location(location_of(source, "a path"))
     notes: list[str] = []
     try:
         shapes = _shapes(read_bytes(Path(path), MAX_MAP_BYTES))
@@ -95,7 +101,7 @@ def load_map(
         outers = [one for one in polygons if one.kind != "hole"]
         chosen = _chosen(outers, wanted, Path(path).name)
         corners = shapely.get_coordinates(chosen.geometry.exterior)
-        scale = _scale(corners, metres_per_unit, notes)
+        scale = _scale(corners, given.metres_per_unit, notes)
         polygon = _mended(chosen, scale, notes)
         for hole in polygons:
             if hole.kind == "hole":
@@ -103,8 +109,8 @@ def load_map(
         polygon = _simplified(polygon, chosen.place, notes)
         points = [one for one in shapes if one.geometry.geom_type == "Point"]
         found = _points(points, polygon, scale, len(outers) > 1, notes)
-        rng = np.random.default_rng(seed)
-        placed = {"roi": (rois, ROIS_APART), "start": (robots, STARTS_APART)}
+        rng = np.random.default_rng(given.seed)
+        placed = {"roi": (given.rois, ROIS_APART), "start": (given.robots, STARTS_APART)}
         for kind, (count, apart) in placed.items():
             if not found[kind]:
                 taken = found["roi"] + found["start"]

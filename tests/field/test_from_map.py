@@ -150,6 +150,11 @@ def test_every_problem_is_listed(tmp_path):
     for metres in (-1, "1"):
         wrong = {"robots": 0, "metres_per_unit": metres}
         assert places_of(ConfigError, load_map, tmp_path / "my farm.geojson", **wrong) == [*wrong]
+    # A sampler takes ranges, a map does not.
+    wrong = {"robots": (2, 3), "rois": 2.5, "seed": None, "metres_per_unit": True}
+    assert places_of(ConfigError, load_map, tmp_path / "my farm.geojson", **wrong) == [*wrong]
+    assert places_of(FieldError, load_map, b"my farm.geojson") == ["source"]
+    assert len(read(tmp_path, polygon(ring(FARM)), robots=2.0)[0].starts) == 2
 
 
 def test_other_files_are_refused(tmp_path):

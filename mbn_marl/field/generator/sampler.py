@@ -63,8 +63,9 @@ def _as_range(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
 
 RANGE = WrapValidator(_as_range)
 """One number is a range with two equal ends."""
-_Robots = Annotated[WholeNumber, Described(ge=1, le=MAX_ROBOTS)]
-_Rois = Annotated[WholeNumber, Described(ge=1, le=MAX_ROIS)]
+Robots = Annotated[WholeNumber, Described(ge=1, le=MAX_ROBOTS)]
+Rois = Annotated[WholeNumber, Described(ge=1, le=MAX_ROIS)]
+Seed = Annotated[WholeNumber, Described(ge=0, le=MAX_SEED)]
 _Size = Annotated[RealNumber, Described(ge=least_size(1, 1), le=MAX_COORDINATE)]
 _Side = Annotated[RealNumber, Described(gt=0.0, le=MAX_COORDINATE)]
 
@@ -94,12 +95,12 @@ class FieldSampler(Checked):
     """
 
     families: tuple[Family, ...]
-    robots: Annotated[tuple[_Robots, _Robots], RANGE]
-    rois: Annotated[tuple[_Rois, _Rois], RANGE]
+    robots: Annotated[tuple[Robots, Robots], RANGE]
+    rois: Annotated[tuple[Rois, Rois], RANGE]
     arena: tuple[_Side, _Side]
     size: Annotated[tuple[_Size, _Size], RANGE]
     weights: tuple[Annotated[RealNumber, Described(ge=0.0, allow_inf_nan=False)], ...] | None
-    seed: Annotated[WholeNumber, Described(ge=0, le=MAX_SEED)]
+    seed: Seed
 
     def __init__(
         self,
