@@ -41,6 +41,8 @@ RADIUS, ECCENTRICITY_SQUARED = 6_378_137.0, 0.00669437999014
 """Of WGS 84: metres at the equator."""
 CANDIDATES = 200
 """Random points that are compared for each ROI or start that is placed."""
+ROUNDS = 100
+"""Of candidates that are tried until one has room."""
 ALLOWED = "Polygon, MultiPolygon, Point, MultiPoint, or a collection of such, numbers below 1e9"
 
 
@@ -333,11 +335,14 @@ def _placed(
     low, high = np.reshape(polygon.bounds, (2, 2))
     placed: list[Point] = []
     for _ in range(count):
-        points = np.round(rng.uniform(low, high, (CANDIDATES, 2)), 3)
-        points = points[shapely.covers(room, shapely.points(points))]
         others = np.array([*taken, *placed]).reshape(-1, 2)
-        gaps = np.linalg.norm(points[:, None] - others, axis=2).min(1, initial=math.inf)
-        if len(points) == 0 or gaps.max() < apart:
+        for _ in range(ROUNDS):  # in a thin field few candidates are inside
+            points = np.round(rng.uniform(low, high, (CANDIDATES, 2)), 3)
+            points = points[shapely.covers(room, shapely.points(points))]
+            gaps = np.linalg.norm(points[:, None] - others, axis=2).min(1, initial=math.inf)
+            if gaps.max(initial=-1.0) >= apart:
+                break
+        else:
             raise _error(f"outline: no room for {count} points {apart:g} units apart")
         x, y = points[gaps.argmax()].tolist()
         placed.append((x, y))

@@ -170,6 +170,9 @@ def test_placed_points_have_room_and_a_seed(tmp_path):
     assert one == other and gaps.min() >= 12
     thin = polygon(ring([[0, 0], [400, 0], [400, 9]]))
     assert places_of(FieldError, read, tmp_path, thin, rois=24, robots=64) == ["outline"]
+    strip = [[0, 0], [600, 600], [590, 610], [-10, 10]]  # a hundredth of its box has room
+    for seed in range(5):
+        assert len(read(tmp_path, polygon(ring(strip)), seed=seed)[0].starts) == 3
 
 
 def test_command(tmp_path, capsys):
