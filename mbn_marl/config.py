@@ -17,6 +17,7 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
+    GetCoreSchemaHandler,
     GetPydanticSchema,
     Tag,
     TypeAdapter,
@@ -24,6 +25,7 @@ from pydantic import (
     ValidationInfo,
     field_validator,
 )
+from pydantic_core import core_schema
 
 from mbn_marl.errors import ConfigError, unknown
 
@@ -67,6 +69,19 @@ class Checked(BaseModel):
                 super().__init__(**values)
             except ValidationError as error:
                 raise ConfigError(self._source(), describe(error, type(self))) from None
+
+    @classmethod
+    def __get_pydantic_core_schema__(
+        cls, source: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        # A constructor has no place for keys that are not words: Python's error would name none.
+        return core_schema.no_info_before_validator_function(cls._check_keys, handler(source))
+
+    @classmethod
+    def _check_keys(cls, value: object) -> object:
+        if isinstance(value, Mapping) and not all(isinstance(key, str) for key in value):
+            raise ValueError(f"Input should have keys of {', '.join(cls.model_fields)}")
+        return value
 
     @classmethod
     def _source(cls) -> str:

@@ -194,6 +194,7 @@ BAD_SETTINGS = [
     ({"gust": -0.1, "gust_time": 0.0, "position_noise": math.nan}, "gust gust_time position_noise"),
     ({"action_loss": 1.1, "action_delay": 101, "dropout": -1}, "action_loss action_delay dropout"),
     ({"gust": Uniform(-1.0, 1.0), "mass": (1.0, Uniform(0.0, 1.0))}, "gust mass.1"),
+    ({"mass": {0: 1.0, 1: 2.0}, "failures": {1: 5}, "reward": {2: 3}}, "mass failures reward"),
     ({"tau": {"low": 2, "high": 1}, "max_steps": Uniform(1.0, 2.0)}, "tau.high max_steps"),
     ({"wind": (0.1, {"low": 2, "top": 3})}, "wind.1.high wind.1.top"),
     ({"n_robots": True, "random_starts": 1, "mass": []}, "n_robots random_starts mass"),
