@@ -122,6 +122,17 @@ class Uniform(Checked):
         return high
 
 
+def _in_order(parts: str) -> BeforeValidator:
+    """Refuse what is no list, a set too, and say which ``parts`` it should have."""
+
+    def check(value: object) -> object:
+        if not isinstance(value, list | tuple):
+            raise ValueError(f"Input should be {parts}")
+        return value
+
+    return BeforeValidator(check)
+
+
 def _ordered(ends: tuple[int, int]) -> tuple[int, int]:
     if ends[0] > ends[1]:
         raise ValueError("the first must not be above the last")
@@ -172,6 +183,8 @@ AnySteering = Annotated[float, or_drawn(Steering)]
 PositiveOfEach = Annotated[float | tuple[float, ...], or_each(AnyPositive)]
 # Infinity becomes a number that files of any kind can have.
 Reach = Annotated[RealNumber, Field(ge=0.0), AfterValidator(lambda radius: min(radius, MOST))]
+_Ends = _in_order("(first step, last step)"), AfterValidator(_ordered)
+_Steps = Annotated[tuple[StepNumber, StepNumber], *_Ends]
 _Few = Annotated[WholeNumber, Field(ge=0, lt=MAX_ROIS)]
 _Range = Annotated[tuple[_Few, _Few], AfterValidator(_ordered)]
 _None = AfterValidator(lambda count: 0 if count == (0, 0) else count)
@@ -223,7 +236,7 @@ class Failures(Checked):
     """The probability that a robot fails in a step, in [0, 1]."""
     at: dict[RobotIndex, StepNumber] = Field(default_factory=dict)
     """The step, from 1 on, in which a robot fails, by the robot's index, from 0 on."""
-    between: Annotated[tuple[StepNumber, StepNumber], AfterValidator(_ordered)] | None = None
+    between: _Steps | None = None
     """A first and a last step, between which one robot fails; each episode draws both."""
     kind: Literal["brake", "coast", "vanish"] = "brake"
     """The rule for a failed robot: ``"brake"``, ``"coast"`` or ``"vanish"``."""
@@ -270,7 +283,7 @@ class NavigationConfig(Checked):
     """Number of ROIs of an episode that are empty, or the least and the most; each draws them."""
     empty_rois: tuple[_Few, ...] = ()
     """The ROIs that are empty in all episodes, from 0 on; in place of ``decoys``."""
-    wind: tuple[AnyNonNegative, AnyNumber] = (0.0, 0.0)
+    wind: Annotated[tuple[AnyNonNegative, AnyNumber], _in_order("(speed, angle)")] = (0.0, 0.0)
     """``(v_a, beta_a)``: units/step per step, degrees from +x; both may be drawn."""
     gust: AnyNonNegative = 0.0
     """Standard deviation of gusts along each axis, units/step per step, >= 0."""

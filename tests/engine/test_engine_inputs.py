@@ -179,6 +179,7 @@ STRICT = "mass.1 mass.2 max_steps one_hot"
 LATE = Failures(rate=0.1, most=0, between=(1001, 1002))
 BAD_SETTINGS = [
     ({"gravity": 9.81, "wind": (math.nan, 0.0), "reward": "greedy"}, "gravity wind.0 reward"),
+    ({"wind": Uniform(0.1, 0.3), "failures": {"between": {5, 60}}}, "wind failures.between"),
     ({"wind": (1.0,), "reward_sharing": "all"}, "wind.1 reward_sharing"),
     ({"wind": (-1.0, -1e39), "observation": "pixels"}, "wind.0 wind.1 observation"),
     ({"assignment": True, "dtype": "float16", "max_steps": 0}, "assignment dtype max_steps"),
@@ -284,6 +285,7 @@ def test_calls_that_do_not_fit_the_engine_are_refused():
         (lambda: drawn.set_sampler(None), "sampler: NoneType; allowed"),
         (engine.knowledge, "knowledge: 'team'; allowed: 'own'"),
         (lambda: make_config({"assignment": "x"}), "known: False, True, fresh"),
+        (lambda: make_config({"wind": 0.1}), r"wind: .*\(speed, angle\) \(got 0.1\)"),
     )
     for call, place in calls:
         with pytest.raises(ConfigError, match=place):
