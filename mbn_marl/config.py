@@ -42,6 +42,8 @@ _SHORT.maxstring = _SHORT.maxother = 80
 def _number(value: object) -> object:
     if isinstance(value, bool | np.bool_ | str | bytes):
         raise ValueError("Input should be a number")
+    if isinstance(value, float | np.floating) and math.isnan(value):  # or a bound is named
+        raise ValueError("Input should be a number, not NaN")
     return value
 
 

@@ -105,6 +105,17 @@ def test_problems_name_the_place(place, other):
         assert problem.startswith(f"{place}: ") and other in problem, value
 
 
+def test_nan_is_no_number():
+    for call in (
+        lambda: square(rois=[(math.nan, 90)]),
+        lambda: parallel_env(tau=np.float32("nan")),
+    ):
+        with pytest.raises(
+            ValueError, match=r"(rois\[0\].x|tau): Input should be a number, not NaN"
+        ):
+            call()
+
+
 def test_problems_of_several_arguments():
     few = {"starts": [(30, 30)], "rois": [(20, 50)]}
     assert places_of(FieldError, square, vertices=circle(497), **few) == ["holes"]
