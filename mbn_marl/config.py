@@ -6,6 +6,7 @@ import math
 import re
 import reprlib
 from collections.abc import Iterator, Mapping, Sequence
+from inspect import signature
 from itertools import cycle, islice
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args
 
@@ -560,16 +561,22 @@ def expand(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {**values, **CONDITIONS[name]}
 
 
-def make_config(settings: Mapping[str, Any]) -> NavigationConfig:
+def make_config(settings: Mapping[str, Any], form: object = None) -> NavigationConfig:
     """Validate the arguments of :class:`NavigationConfig`, or a ``condition`` in place of some.
+
+    The error on an unknown setting names the arguments of ``form``'s constructor too.
 
     Raises:
         ConfigError: naming every unknown or invalid setting and what is allowed; a setting that is
             given beside a condition that sets it is one of them.
     """
-    values, problems = dict(settings), []
+    own = [] if form is None else list(signature(type(form).__init__).parameters)[1:-1]
+    known = dict.fromkeys([*own, "condition", *NavigationConfig.model_fields])
+    wrong = (str(name) for name in settings if name not in known)
+    problems = [f"{name}: {unknown('name', name, known)}" for name in wrong]
+    values = {name: value for name, value in settings.items() if name in known}
     try:
-        values = expand(settings)
+        values = expand(values)
     except ConfigError as error:
         problems += error.problems
         values.pop("condition")

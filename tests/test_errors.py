@@ -8,6 +8,7 @@ from baselines.algorithms import find_algorithm
 from baselines.policies.load import check_known, open_run
 from baselines.sweep.spec import GridSpec
 from baselines.training.config import validate
+from mbn_marl import BatchEngine, parallel_env
 from mbn_marl.config import Uniform, make_config
 from mbn_marl.errors import ConfigError, MbnError
 from mbn_marl.field import FieldSampler, load_field, load_split
@@ -24,6 +25,9 @@ def test_every_lookup_by_name_says_what_may_be_meant():
         (lambda: check_known(f"{TESTS}/supprt"), "/supprt: there is no such folder", "support?)"),
         (lambda: make_config({"reward": "realeased"}), "reward: ", "released"),
         (lambda: make_config({"max_step": 5}), "max_step: ", "max_steps"),
+        (lambda: make_config({"conditions": "windy"}), "conditions: ", "condition"),
+        (lambda: BatchEngine("field_03", num_wolds=2), "num_wolds: ", "num_worlds"),
+        (lambda: parallel_env("field_03", render_mod="human"), "render_mod: ", "render_mode"),
         (lambda: make_config({"reward": {"name": "own", "medum": 5}}), "reward.medum: ", "medium"),
         (lambda: make_config({"observation": "lidr"}), "observation: ", "lidar"),
         (lambda: load_split("tset", "1-convex"), "'tset': ", "test"),

@@ -199,7 +199,7 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         view = render_mode, ("rgb_array",), render_size
         how = {"autoreset": mode.name.lower(), "threads": threads, "n_robots": n_robots}
         self._viewer, engine = make_parts(
-            view, field, num_envs, settings, problems, "num_envs", **how
+            self, view, field, num_envs, settings, problems, "num_envs", **how
         )
         self.engine = engine
         check_central(engine.config)

@@ -82,7 +82,7 @@ class OneWorld:
         self.render_mode = render_mode
         view = render_mode, self.metadata["render_modes"], render_size
         how: dict[str, Any] = {"autoreset": False, "threads": 1}
-        self._viewer, engine = make_parts(view, field, 1, settings, problems, **how)
+        self._viewer, engine = make_parts(self, view, field, 1, settings, problems, **how)
         self.engine = engine
         self.state_space = spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
         self._infos = Infos(engine)
@@ -148,6 +148,7 @@ class OneWorld:
 
 
 def make_parts(
+    form: object,
     view: tuple[str | None, Sequence[str], tuple[int, int]],
     field: Fields,
     num_worlds: int,
@@ -167,7 +168,7 @@ def make_parts(
     except ConfigError as error:
         found += error.problems
     try:
-        check_names(settings)
+        check_names(settings, form)
         engine = BatchEngine(field, num_worlds, **options, **settings)
     except ConfigError as error:
         found += [re.sub("^num_worlds(?=:)", count, problem) for problem in error.problems]
@@ -200,10 +201,10 @@ def real_numbers(value: object, shape: tuple[int, ...]) -> NDArray[np.floating[A
     return array.astype(array.dtype if array.dtype.kind == "f" else np.float64)
 
 
-def check_names(settings: Mapping[str, Any]) -> None:
-    """Refuse arguments of the engine that an environment sets itself."""
+def check_names(settings: Mapping[str, Any], form: object) -> None:
+    """Refuse arguments of the engine that an environment of this ``form`` sets itself."""
     if not settings.keys() <= {*NavigationConfig.model_fields, "condition"}:
-        make_config(settings)
+        make_config(settings, form)
 
 
 def check_central(config: NavigationConfig) -> None:

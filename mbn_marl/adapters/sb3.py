@@ -91,7 +91,7 @@ class NavigationVecEnv(VecEnv):
         view = render_mode, ("rgb_array",), RENDER_SIZE
         how: dict[str, Any] = {"seed": seed, "autoreset": "disabled", "threads": threads}
         how |= {"count": self._count}
-        self._viewer, self.engine = make_parts(view, field, num_worlds, settings, **how)
+        self._viewer, self.engine = make_parts(self, view, field, num_worlds, settings, **how)
         self._rows_per_world, observation_space, action_space = self._row()
         self._actions: NDArray[Any] | None = None
         self._start_time = time.time()
@@ -265,7 +265,7 @@ class CentralizedVecEnv(NavigationVecEnv):
         joint_observation: bool = False,
         **settings: Unpack[Settings],
     ) -> None:
-        check_names(settings)
+        check_names(settings, self)
         if problems := flag_problems(joint_observation=joint_observation):
             raise ConfigError("environment", problems)
         self._joint = joint_observation

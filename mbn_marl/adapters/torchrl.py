@@ -110,7 +110,7 @@ class NavigationEnv(EnvBase):
         problems += flag_problems(state=state, team_reward=team_reward)
         where = torch.device("cpu" if device is None else device)
         try:
-            check_names(settings)
+            check_names(settings, self)
             engine = BatchEngine(
                 field,
                 num_worlds,

@@ -138,7 +138,7 @@ class BatchEngine:
         keys = {"seed": seed, "first_world": first_world}
         problems = validation.argument_problems(num_worlds, threads, device, autoreset, keys)
         try:
-            config = make_config(settings)
+            config = make_config(settings, self)
         except ConfigError as error:
             raise ConfigError("configuration", [*error.problems, *problems]) from None
         n = config.n_robots or sizes.robots
