@@ -79,6 +79,10 @@ def collecting(problems: list[str]) -> Iterator[None]:
 class FieldError(ProblemsError):
     """A field or its file is not valid."""
 
+    def beside(self, settings: Iterable[str]) -> FieldError:
+        """Return the error with the problems of the settings that were given with the field."""
+        return FieldError(self.source, [*self.problems, *(f"settings: {one}" for one in settings)])
+
 
 class ConfigError(ProblemsError):
     """A setting of the environment is not valid."""

@@ -15,7 +15,7 @@ from mbn_marl.adapters.infos import Infos
 from mbn_marl.config import FixedSettings, NavigationConfig, Settings, make_config
 from mbn_marl.engine import BatchEngine, FieldLike, Fields
 from mbn_marl.engine.validation import REAL, as_array, option_problems, reset_problems
-from mbn_marl.errors import ConfigError, StepError
+from mbn_marl.errors import ConfigError, FieldError, ProblemsError, StepError
 from mbn_marl.field import FieldSampler, load_field
 from mbn_marl.render.viewer import RENDER_SIZE, Viewer, size_problems
 
@@ -157,9 +157,9 @@ def make_parts(
     count: str = "num_worlds",
     **options: Any,
 ) -> tuple[LazyViewer, BatchEngine]:
-    """Return a form's viewer and engine; a ConfigError adds all problems of both to ``problems``.
+    """Return a form's viewer and engine; an error adds all problems of both to ``problems``.
 
-    A field that cannot be read is a FieldError, which comes alone.
+    It is a FieldError if a field cannot be read, else a ConfigError.
     ``count`` is the form's own name of ``num_worlds``.
     """
     found = [*problems]
@@ -170,8 +170,11 @@ def make_parts(
     try:
         check_names(settings, form)
         engine = BatchEngine(field, num_worlds, **options, **settings)
-    except ConfigError as error:
-        found += [re.sub("^num_worlds(?=:)", count, problem) for problem in error.problems]
+    except ProblemsError as error:
+        own = [re.sub(r"\bnum_worlds(?=:)", count, problem) for problem in error.problems]
+        if isinstance(error, FieldError):
+            raise FieldError(error.source, own).beside(found) from None
+        found += own
     if found:
         raise ConfigError("environment", found)
     return viewer, engine

@@ -16,7 +16,7 @@ from mbn_marl.adapters.one_world import check_names, flag_problems
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, Fields
 from mbn_marl.engine.validation import as_array, reset_problems
-from mbn_marl.errors import ConfigError
+from mbn_marl.errors import ConfigError, FieldError
 
 GROUP = "robots"
 METRICS = ("success", "collision", "rois_visited", "steps", "episode_return")
@@ -120,6 +120,8 @@ class NavigationEnv(EnvBase):
                 threads=threads,
                 **settings,
             )
+        except FieldError as error:
+            raise error.beside(problems) from None
         except ConfigError as error:
             problems += error.problems
         if problems:

@@ -116,7 +116,7 @@ class BatchEngine:
         graph's capture raises the error, once, for the first such world.
 
     Raises:
-        FieldError: a field is invalid or unknown.
+        FieldError: a field is invalid or unknown; problems of settings are listed too.
         ConfigError: a setting is invalid, or CUDA cannot be used; all problems are listed.
     """
 
@@ -133,14 +133,19 @@ class BatchEngine:
         first_world: int = 0,
         **settings: Unpack[Settings],
     ) -> None:
-        source = field if isinstance(field, FieldSampler) else _load_all(field)
-        sizes, given = sizes_of(source), validation.as_starts(starts)
-        keys = {"seed": seed, "first_world": first_world}
+        config, keys = None, {"seed": seed, "first_world": first_world}
         problems = validation.argument_problems(num_worlds, threads, device, autoreset, keys)
         try:
             config = make_config(settings, self)
         except ConfigError as error:
-            raise ConfigError("configuration", [*error.problems, *problems]) from None
+            problems = [*error.problems, *problems]
+        try:
+            source = field if isinstance(field, FieldSampler) else _load_all(field)
+        except FieldError as error:
+            raise error.beside(problems) from None
+        if config is None:
+            raise ConfigError("configuration", problems)
+        sizes, given = sizes_of(source), validation.as_starts(starts)
         n = config.n_robots or sizes.robots
         self._sizes = sizes._replace(robots=n)
         problems += validation.setup_problems(source, config, n, num_worlds, given)

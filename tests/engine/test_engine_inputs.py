@@ -20,7 +20,8 @@ from mbn_marl import (
     parallel_env,
     raw_env,
 )
-from mbn_marl.adapters.sb3 import CentralizedVecEnv
+from mbn_marl.adapters.sb3 import CentralizedVecEnv, SharedPolicyVecEnv
+from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import WITHOUT_RADIUS, NavigationConfig, RewardProfile, Settings, make_config
 from mbn_marl.engine.batch import METRICS
 from mbn_marl.engine.mdp.revisits import ODD_LINES
@@ -257,6 +258,11 @@ def test_all_arguments_are_checked_at_once():
     wrong = {"autoreset": "x", "threads": 0, "mass": -1}
     places = places_of(ConfigError, BatchEngine, "field_03", 0, **wrong)
     assert places == ["mass", "num_worlds", "threads", "autoreset"]
+    for form in (BatchEngine, NavigationEnv, SharedPolicyVecEnv):
+        places = places_of(FieldError, form, "field_99", 0, mass=-1, threads=0)
+        assert places[1:] == ["settings"] * 3
+    places = places_of(FieldError, centralized_env, "field_99", render_mode="x", flat=0, tau=0)
+    assert places[1:] == ["settings"] * 3
     starts = torch.zeros(3, 2, requires_grad=True)
     with pytest.raises(ConfigError, match=r"starts\[1\]: "):
         BatchEngine("field_03", 1, starts=starts)
