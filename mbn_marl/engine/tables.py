@@ -6,12 +6,13 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
-from shapely import MultiPoint
+from shapely import MultiPoint, points
 
 from mbn_marl.config import LIMITS, NavigationConfig
 from mbn_marl.engine.mdp.drawn_numbers import make_ranges
 from mbn_marl.engine.mdp.dynamics import DYNAMICS, POINT_MASS
 from mbn_marl.engine.mdp.entities import SCALES
+from mbn_marl.engine.mdp.events import cross_edge
 from mbn_marl.engine.mdp.kinds import has_kinds
 from mbn_marl.engine.mdp.lidar import rays_of
 from mbn_marl.engine.mdp.observations import WITH_RAYS
@@ -23,6 +24,10 @@ from mbn_marl.field.generator.sampler import field_of
 
 # Safety distances between starts: discs about them are polygons, and they are rounded.
 MARGIN = 1.02
+# Starts so near to a border, units, may be outside by rounding; where they move then, in reaches.
+REACH = 2e-3
+RADII = np.array([0.0, *4.0 ** np.arange(-20, 2)])
+DIRECTIONS = np.stack([np.cos(np.arange(16) * np.pi / 8), np.sin(np.arange(16) * np.pi / 8)], 1)
 # The fields of the worlds in turn, or what draws one for each episode.
 FieldSource = tuple[Field, ...] | FieldSampler
 
@@ -125,7 +130,7 @@ def starts_of(
     # Teams that do not vary may be larger than that if they start at random. If that fails, the
     # others start at points of the field that are at least the safety distance from those before.
     # As many as ``field_problems`` allows have discs of that radius that leave some of the field.
-    starts = field.starts[:n] if given is None else given
+    starts = inside(field, field.starts[:n] if given is None else given, config.dtype)
     if teams_vary or len(starts) == n:
         return starts
     distance = MARGIN * max(config.at_most().safety_distance, 1.0)
@@ -135,6 +140,27 @@ def starts_of(
         starts = np.vstack([starts, (point.x, point.y)])
         free = free.difference(point.buffer(distance))
     return starts
+
+
+def inside(field: Field, starts: Array, dtype: str) -> Array:
+    # Rounding may put a start on the border outside, where a robot at rest would pay for a wall.
+    # Then it is moved to one of the nearest points around it that are inside for the engine.
+    starts = np.array(starts, np.float64)
+    reach = max(REACH, 4.0 * np.spacing(field.vertices.max().astype(dtype)))
+    near = np.flatnonzero(field.polygon.boundary.distance(points(starts)) <= reach)
+    edges = directed_edges(field).astype(dtype).T if near.size else starts[:0]
+    for i in near:
+        around = np.multiply.outer(reach * RADII, DIRECTIONS).reshape(-1, 2)
+        tried = (starts[i] + around).astype(dtype)
+        starts[i] = next((point for point in tried if _has(edges, *point)), starts[i])
+    return starts
+
+
+def _has(edges: Array, x: Any, y: Any) -> bool:
+    crossings = 0
+    for edge in edges:
+        crossings = cross_edge.py_func(crossings, x, y, *edge)
+    return crossings != 0
 
 
 def write_field(t: Tables, f: int, field: Field, starts: Array) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import shapely
 
-from mbn_marl import parallel_env
+from mbn_marl import BatchEngine, parallel_env
 from mbn_marl.errors import ConfigError, FieldError
 from mbn_marl.field import Field
 from tests.support.field_cases import HOLE, SQUARE, circle, square
@@ -134,16 +134,37 @@ def test_problems_of_several_arguments():
     ]
 
 
+SLANTED = (
+    [(10.1, 20.3), (333.3, 47.9), (280.7, 310.1)],
+    [(250, 100), (270, 99), (260, 80.3)],  # a hole
+)
+
+
 def test_points_that_rounding_puts_outside_are_on_the_border():
-    slanted = [(10.1, 20.3), (333.3, 47.9), (280.7, 310.1)]
-    hole = [(250, 100), (270, 99), (260, 80.3)]
-    for border in (shapely.LinearRing(slanted), shapely.LinearRing(hole)):
+    slanted, hole = SLANTED
+    for border in map(shapely.LinearRing, SLANTED):
         for share in np.linspace(0.0, 1.0, 100, endpoint=False):
             x, y = shapely.get_coordinates(border.interpolate(share, normalized=True))[0]
             assert len(Field(slanted, [(x, y)], [(x, y)], [hole]).rois) == 1
     for away in ((170.0, 33.0), (260.0, 99.0)):
         with pytest.raises(FieldError, match="rois"):
             Field(slanted, [away], [(200, 100)], [hole])
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("border", SLANTED)
+def test_robots_at_rest_on_the_border_pay_for_no_wall(border, dtype):
+    outline, hole = SLANTED
+    shares = np.linspace(0.0, 1.0, 60, endpoint=False)
+    starts = shapely.get_coordinates(
+        shapely.LinearRing(border).interpolate(shares, normalized=True)
+    )
+    field = Field(outline, [(200, 100)], starts, [hole])
+    engine = BatchEngine(field, 1, dtype=dtype, safety_distance=0.0)
+    engine.reset()
+    engine.step(np.zeros((1, 60, 2)))
+    assert engine.metrics()["wall_hits"].sum() == 0
+    np.testing.assert_allclose(engine.state()[0, :120], starts.ravel(), atol=1e-4)
 
 
 def test_environments_check_starts_and_scale():
