@@ -25,7 +25,8 @@ class Snapshot:
         failed: (n,) bool, whether each robot has failed in this episode.
         gone: (n,) bool, whether each robot has vanished in this episode: it touches nothing.
         visited: (m,) bool, whether each ROI has been visited in this episode.
-        empty: (m,) bool, whether each ROI is empty in this episode; no recorded episode tells.
+        empty: (m,) bool, whether each ROI is empty in this episode; False for all if a recorded
+            one does not tell.
         trail: (step + 1, n, 2), units: the positions of every robot since the reset, the reset
             first, the current ones last.
         step: steps since the reset, 0 to T_max.
