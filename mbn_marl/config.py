@@ -572,9 +572,9 @@ def make_config(settings: Mapping[str, Any], form: object = None) -> NavigationC
     """
     own = [] if form is None else list(signature(type(form).__init__).parameters)[1:-1]
     known = dict.fromkeys([*own, "condition", *NavigationConfig.model_fields])
-    wrong = (str(name) for name in settings if name not in known)
-    problems = [f"{name}: {unknown('name', name, known)}" for name in wrong]
+    wrong = [str(name) for name in settings if name not in known]
     values = {name: value for name, value in settings.items() if name in known}
+    problems: list[str] = []
     try:
         values = expand(values)
     except ConfigError as error:
@@ -584,6 +584,7 @@ def make_config(settings: Mapping[str, Any], form: object = None) -> NavigationC
         config = NavigationConfig(**values)
     except ConfigError as error:
         problems += error.problems
+    problems += [f"{name}: {unknown('name', name, known)}" for name in wrong]
     if problems:
         raise ConfigError("configuration", problems)
     return config
