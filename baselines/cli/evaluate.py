@@ -51,7 +51,7 @@ class Evaluate(Subject):
             f"episodes: at least 1, not {self.episodes}": self.episodes < 1,
             "json and record: allowed are two names": self.json and self.json == self.record,
         }
-        check_options("evaluation", wrong | dict.fromkeys(reset_problems(seed, 0), True))
+        check_options("evaluation", wrong, reset_problems(seed, 0))
         actor = find_policy(self.source, self.field, seed=seed, **self.asked)
         if is_trained(self.source) and (unfinished := open_run(self.source).unfinished):
             print(unfinished)
