@@ -1,7 +1,6 @@
 """The console that every command prints on."""
 
-import os
-import sys
+from shutil import get_terminal_size
 
 from rich.console import Console
 
@@ -9,9 +8,9 @@ UNBOUNDED = 100_000
 
 
 def console() -> Console:
-    """Return a console on standard output; in a pipe it wraps nothing, unless COLUMNS is set.
+    """Return a console on standard output; in a pipe it wraps nothing, unless COLUMNS is above 0.
 
     It shows words as they are: rich would take ``[old]`` in a path as a style.
     """
-    known = sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdecimal()
-    return Console(width=None if known else UNBOUNDED, markup=False, emoji=False)
+    width = get_terminal_size((UNBOUNDED, 0)).columns
+    return Console(width=width, markup=False, emoji=False)

@@ -50,12 +50,14 @@ class Fields(Writes):
                 fields.append(load_field(name))
         if problems:
             raise FieldError("fields", problems)
-        self._print(fields)
+        paths = list[Path]()
         if self.out is not None:
             random = [self.out / f"{field.name}.yaml" for field in fields]
             paths = random if self.map is None else [self.out]
-            for path in paths:
-                check_free(path, force=self.force)
+        for path in paths:
+            check_free(path, force=self.force)
+        self._print(fields)
+        if self.out is not None:
             for field, path in zip(fields, paths, strict=True):
                 save_field(field, claim_file(path, force=self.force))
             print(f"{len(paths)} written to {self.out}")
@@ -68,16 +70,18 @@ class Fields(Writes):
             print(f"written to {figures.save(figure, path)}")
 
     def _check(self) -> None:
-        names = ("seed", "count", "robots", "rois", "size", "out", "metres_per_unit")
-        own = [name for name in names if getattr(self, name) != getattr(Fields, name)]
-        of_sampler = [name for name in own if name in ("count", "size")]
+        def given(*names: str) -> list[str]:
+            return [name for name in names if getattr(self, name) != getattr(Fields, name)]
+
+        new = given("seed", "robots", "rois", "out")
+        of_sampler = given("count", "size")
         no_yaml = self.out and self.out.suffix not in (".yaml", ".yml")
         wrong: dict[str, object] = {
-            f"{', '.join(own)}: only with --generate or --from": (
-                own and not (self.generate or self.map)
+            f"{', '.join(new)}: only with --generate or --from": (
+                new and not (self.generate or self.map)
             ),
-            f"{', '.join(of_sampler)}: only with --generate": of_sampler and self.map,
-            "metres_per_unit: only with --from": "metres_per_unit" in own and self.generate,
+            f"{', '.join(of_sampler)}: only with --generate": of_sampler and not self.generate,
+            "metres_per_unit: only with --from": given("metres_per_unit") and not self.map,
             "generate: not with names or files": self.generate and self.fields,
             "from: not with --generate, names or files": (
                 self.map and (self.generate or self.fields)

@@ -185,6 +185,9 @@ def _feature(node: Any, place: str) -> list[_Shape]:
     properties = {"name": node.get("id")} | {key.lower(): v for key, v in properties.items()}
     if node.get("type") == "Feature" and (geometry := node.get("geometry")) is None:
         return []
+    needed = isinstance(geometry, dict) and geometry.keys() & {"coordinates", "geometries"}
+    if not (needed and isinstance(geometry.get("type"), str)):
+        raise _error(f"{place}: expected a type and coordinates; allowed: {ALLOWED}")
     try:
         found = shape(geometry)
     except (

@@ -72,6 +72,7 @@ def test_train_records_the_run_and_evaluate_repeats_its_evaluation(tmp_path, ref
         ("replay none.json -o a.html", ["none.json: "]),
         ("zoo -o folder", ["out: "]),
         ("fields field_03 --seed 2 -o out", ["seed, out: "]),
+        ("fields --count 2 --seed 3", ["seed: ", "count: "]),
         ("fields field_03 --generate farm --count 0", ["generate: ", "count: "]),
         ("fields field_03 --from a.wkt --size 9 10 -o a.png", ["size: ", "from: ", "out: "]),
         ("fields --generate farm --metres-per-unit 2", ["metres_per_unit: "]),
@@ -120,7 +121,7 @@ def test_runs_are_listed_with_their_state(tmp_path, capsys, refusal, monkeypatch
     (tmp_path / "stray").mkdir()
     (tmp_path / "stray" / "field.yaml").touch()
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("COLUMNS", raising=False)
+    monkeypatch.setenv("COLUMNS", "0")  # no width
     assert main(["runs", "."]) == 0
     lines = {
         line.split()[0].split("/")[-1].split("-")[0]: line
