@@ -1,4 +1,4 @@
-"""A name that is not known is answered with its place, the one that may be meant, and all."""
+"""Errors name the place, the known names and the one that may be meant, and all problems."""
 
 from pathlib import Path
 
@@ -9,9 +9,12 @@ from baselines.policies.load import check_known, open_run
 from baselines.sweep.spec import GridSpec
 from baselines.training.config import validate
 from mbn_marl import BatchEngine, parallel_env
+from mbn_marl.adapters.sb3 import CentralizedVecEnv
+from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import Uniform, make_config
-from mbn_marl.errors import ConfigError, MbnError
+from mbn_marl.errors import ConfigError, FieldError, MbnError
 from mbn_marl.field import FieldSampler, load_field, load_split
+from tests.support.problems import places_of
 
 TESTS = Path(__file__).parent
 GRID = {"store": "runs", "algorithms": ["ppo"], "seeds": [0], "budget": {"stepss": 1}}
@@ -41,6 +44,24 @@ def test_every_lookup_by_name_says_what_may_be_meant():
         assert f"did you mean {meant}" in str(caught.value)
     known = str(caught.value).split("known: ")[1]
     assert known == "steps, evaluate_every, episodes", "only those of its level"
+
+
+@pytest.mark.parametrize(
+    ("form", "wrong"),
+    [
+        (parallel_env, {"render_mode": "3d"}),
+        (CentralizedVecEnv, {"num_envs": 0, "joint_observation": 2}),
+        (NavigationEnv, {"num_worlds": 0, "state": 2}),
+    ],
+)
+def test_an_unknown_name_hides_no_other_problem(form, wrong):
+    wrong |= {"wind": 3, "autoreset": False}
+    places = {*places_of(ConfigError, form, "field_03", **wrong)}
+    assert places == {*wrong}
+    with pytest.raises(FieldError) as caught:
+        form("nowhere", **wrong)
+    settings = [line.split(": ")[1] for line in caught.value.problems if "settings: " in line]
+    assert {*settings} == places and "unknown field" in caught.value.problems[0]
 
 
 def test_a_setting_may_be_named_as_an_argument_of_python():

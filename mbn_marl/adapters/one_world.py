@@ -163,19 +163,19 @@ def make_parts(
     ``count`` is the form's own name of ``num_worlds``.
     """
     found = [*problems]
+    known, unknown = known_settings(settings, form)
     try:
         viewer = LazyViewer(*view)
     except ConfigError as error:
         found += error.problems
     try:
-        check_names(settings, form)
-        engine = BatchEngine(field, num_worlds, **options, **settings)
+        engine = BatchEngine(field, num_worlds, **options, **known)
     except ProblemsError as error:
         own = [re.sub(r"\bnum_worlds(?=:)", count, problem) for problem in error.problems]
         if isinstance(error, FieldError):
-            raise FieldError(error.source, own).beside(found) from None
+            raise FieldError(error.source, own).beside([*found, *unknown]) from None
         found += own
-    if found:
+    if found := [*found, *unknown]:
         raise ConfigError("environment", found)
     return viewer, engine
 
@@ -204,10 +204,18 @@ def real_numbers(value: object, shape: tuple[int, ...]) -> NDArray[np.floating[A
     return array.astype(array.dtype if array.dtype.kind == "f" else np.float64)
 
 
-def check_names(settings: Mapping[str, Any], form: object) -> None:
-    """Refuse arguments of the engine that an environment of this ``form`` sets itself."""
-    if not settings.keys() <= {*NavigationConfig.model_fields, "condition"}:
-        make_config(settings, form)
+def known_settings(settings: Mapping[str, Any], form: object) -> tuple[dict[str, Any], list[str]]:
+    """Return those of an environment of this ``form``, and a problem for each other name.
+
+    Arguments of the engine that the form sets itself are other names.
+    """
+    names = {*NavigationConfig.model_fields, "condition"}
+    known = {name: value for name, value in settings.items() if name in names}
+    try:
+        make_config({name: settings[name] for name in settings if name not in names}, form)
+    except ConfigError as error:
+        return known, list(error.problems)
+    return known, []
 
 
 def check_central(config: NavigationConfig) -> None:

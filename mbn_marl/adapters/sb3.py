@@ -31,7 +31,6 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 from mbn_marl.adapters.one_world import (
     RENDER_FPS,
     check_central,
-    check_names,
     flag_problems,
     make_parts,
 )
@@ -76,6 +75,7 @@ class NavigationVecEnv(VecEnv):
 
     _return: str  # the metric that is a row's return
     _count = "num_worlds"  # its argument's name
+    _problems: Sequence[str] = ()  # of a form's other arguments
 
     def __init__(
         self,
@@ -90,7 +90,7 @@ class NavigationVecEnv(VecEnv):
         self.render_mode = render_mode
         view = render_mode, ("rgb_array",), RENDER_SIZE
         how: dict[str, Any] = {"seed": seed, "autoreset": "disabled", "threads": threads}
-        how |= {"count": self._count}
+        how |= {"count": self._count, "problems": self._problems}
         self._viewer, self.engine = make_parts(self, view, field, num_worlds, settings, **how)
         self._rows_per_world, observation_space, action_space = self._row()
         self._actions: NDArray[Any] | None = None
@@ -265,9 +265,7 @@ class CentralizedVecEnv(NavigationVecEnv):
         joint_observation: bool = False,
         **settings: Unpack[Settings],
     ) -> None:
-        check_names(settings, self)
-        if problems := flag_problems(joint_observation=joint_observation):
-            raise ConfigError("environment", problems)
+        self._problems = flag_problems(joint_observation=joint_observation)
         self._joint = joint_observation
         how: dict[str, Any] = {"seed": seed, "threads": threads, "render_mode": render_mode}
         super().__init__(field, num_envs, **how, **settings)

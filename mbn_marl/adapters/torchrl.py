@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from mbn_marl.adapters.one_world import check_names, flag_problems
+from mbn_marl.adapters.one_world import flag_problems, known_settings
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, Fields
 from mbn_marl.engine.validation import as_array, reset_problems
@@ -109,8 +109,8 @@ class NavigationEnv(EnvBase):
             problems.append(f"metrics: {metrics!r}; allowed: {allowed}")
         problems += flag_problems(state=state, team_reward=team_reward)
         where = torch.device("cpu" if device is None else device)
+        known, unknown = known_settings(settings, self)
         try:
-            check_names(settings, self)
             engine = BatchEngine(
                 field,
                 num_worlds,
@@ -118,13 +118,13 @@ class NavigationEnv(EnvBase):
                 autoreset="disabled",
                 device="cuda" if where.type == "cuda" else "cpu",
                 threads=threads,
-                **settings,
+                **known,
             )
         except FieldError as error:
-            raise error.beside(problems) from None
+            raise error.beside([*problems, *unknown]) from None
         except ConfigError as error:
             problems += error.problems
-        if problems:
+        if problems := [*problems, *unknown]:
             raise ConfigError("NavigationEnv", problems)
         super().__init__(device=where, batch_size=[num_worlds])
         self.engine = engine
