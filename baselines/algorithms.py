@@ -25,7 +25,7 @@ SETTINGS: Mapping[Setting, Protocol] = {
     "A": Protocol("the paper's: library defaults, raw observation and reward", 33, 5_000_000),
     "B": Protocol("the paper's: as A, with its Optuna values", 33, 5_000_000),
     "C": Protocol("the paper's: as A, from a policy trained on another field", 33, 5_000_000),
-    "N": Protocol("normalised observation, scaled reward"),
+    "N": Protocol("normalised observation, scaled reward; CrossQ has raw ones"),
     "J": Protocol("as N, with the observations and training aids of ppo-joint"),
     "G": Protocol("one policy for every field: a network over sets, shaped reward"),
 }
