@@ -183,7 +183,8 @@ class Learner:
         arrays = read_arrays(checkpoint / WORLDS)
         for name in SEEN:
             seen, own = arrays.pop(name, None), getattr(model, name)
-            if getattr(seen, "shape", None) != getattr(own, "shape", None):
+            # without normalization the library keeps no original observation until its first step
+            if own is not None and getattr(seen, "shape", None) != own.shape:
                 raise ValueError(f"{WORLDS}: {name} is of other worlds")
             setattr(model, name, seen)
         self.worlds.venv.engine.load_state(arrays)

@@ -37,8 +37,8 @@ from tests.support.runs import STAGES, interrupted, recorded, same_policies, sma
 
 pytestmark = pytest.mark.slow
 
-FAMILIES = ("ppo", "ars", "tqc", "mappo", "ppo-shared")
-"""An algorithm of each kind; the others share their trainers."""
+FAMILIES = ("ppo", "ars", "tqc", "crossq", "mappo", "ppo-shared")
+"""An algorithm of each kind, CrossQ for raw observations; the others share their trainers."""
 SMALL = small_config("ppo")
 
 
