@@ -48,14 +48,15 @@ class Fields(Writes):
         for name in self.fields or (() if fields else catalogue_names()):
             with collecting(problems):
                 fields.append(load_field(name))
-        if problems:
-            raise FieldError("fields", problems)
         paths = list[Path]()
         if self.out is not None:
             random = [self.out / f"{field.name}.yaml" for field in fields]
             paths = random if self.map is None else [self.out]
         for path in paths:
-            check_free(path, force=self.force)
+            with collecting(problems):
+                check_free(path, force=self.force)
+        if problems:
+            raise FieldError("fields", problems)
         self._print(fields)
         if self.out is not None:
             for field, path in zip(fields, paths, strict=True):

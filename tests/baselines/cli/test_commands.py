@@ -249,6 +249,11 @@ def test_random_fields_are_made(tmp_path, capsys):
     made = [load_field(path) for path in sorted(out.iterdir())]
     assert [field.name for field in made] == ["concave-7", "concave-8", "farm-7", "farm-8"]
     assert made[3] == generate("farm", 8, robots=4, size=(150, 160))
+    (out / "farm-7.yaml").unlink()
+    assert main([*words, "-o", str(out)]) == 2
+    refused = capsys.readouterr()
+    assert refused.err.count("already exists") == 3 and not refused.out
+    assert not (out / "farm-7.yaml").exists()
 
 
 OWN = """
