@@ -8,7 +8,7 @@ from baselines.algorithms import find_algorithm
 from baselines.policies.load import check_known, open_run
 from baselines.sweep.spec import GridSpec
 from baselines.training.config import validate
-from mbn_marl import BatchEngine, parallel_env
+from mbn_marl import BatchEngine, centralized_env, parallel_env
 from mbn_marl.adapters.sb3 import CentralizedVecEnv
 from mbn_marl.adapters.torchrl import NavigationEnv
 from mbn_marl.config import Uniform, make_config
@@ -49,7 +49,9 @@ def test_every_lookup_by_name_says_what_may_be_meant():
 @pytest.mark.parametrize(
     ("form", "wrong"),
     [
-        (parallel_env, {"render_mode": "3d"}),
+        (parallel_env, {"render_mode": "3d", "max_cycles": 0}),
+        (centralized_env, {"flat": 3, "knowledge": "own"}),
+        (CentralizedVecEnv, {"num_envs": 0, "knowledge": "own"}),
         (CentralizedVecEnv, {"num_envs": 0, "joint_observation": 2}),
         (NavigationEnv, {"num_worlds": 0, "state": 2}),
     ],

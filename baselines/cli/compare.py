@@ -195,7 +195,7 @@ class Runs:
     """Run folders, or folders that hold some."""
 
     def run(self, command_line: str) -> None:
-        lines = [line_of(path) for path in run_folders(self.folders, comparisons=True)]
+        lines = [line_of(path) for path in run_folders(self.folders, print, comparisons=True)]
         headings = ("run", "algorithm", "field", "seed", "state", "success", "makespan")
         caption = "sampled actions in the final evaluation, or the last one so far"
         TextTable(caption, headings, lines, words=5).print("runs")

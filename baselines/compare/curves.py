@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from baselines.compare.records import RunRecord
 from baselines.compare.summary import RESAMPLES, Comparison
 from baselines.evaluation.intervals import RETURN_THRESHOLD
-from mbn_marl.errors import MbnError
 from mbn_marl.render import style
 
 FloatArray = NDArray[np.float64]
@@ -108,11 +107,10 @@ def learning_curves(
     """Draw the mean over seeds against env-steps with its 95 % band, a panel a field.
 
     Values are shares, or returns if there is a ``threshold`` to mark. If early returns lie far
-    below the others, the axis is logarithmic there, as its label says. An MbnError names a label
-    whose seeds have no range of env-steps in common.
+    below the others, the axis is logarithmic there, as its label says.
     """
     bands = {
-        (title, name): mean_and_band(f"{title}, {name}", seeds)
+        (title, name): mean_and_band(seeds)
         for title, panel in panels.items()
         for name, seeds in panel.curves.items()
     }
@@ -192,16 +190,15 @@ def pairs(panels: Mapping[str, Mapping[str, Pair]], names: tuple[str, str]) -> F
     return figure
 
 
-def mean_and_band(name: str, runs: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Band:
+def mean_and_band(runs: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Band:
     """Return steps, mean, and the ends of the 95 % percentile bootstrap over seeds, (k,) each.
 
     The steps are all those of any seed that lie within every seed's range; between two of a seed
-    its value is interpolated. An MbnError names ``name`` if there are none.
+    its value is interpolated. If there are none, as of two runs of ARS with an evaluation each,
+    the one step is where the latest seed begins; a seed that has ended keeps its last value.
     """
     first = max(steps[0] for steps, _ in runs)
-    last = min(steps[-1] for steps, _ in runs)
-    if first > last:
-        raise MbnError(f"{name}: the seeds have no range of env-steps in common")
+    last = max(first, min(steps[-1] for steps, _ in runs))
     every = np.unique(np.concatenate([steps for steps, _ in runs])).astype(np.float64)
     grid = every[(every >= first) & (every <= last)]
     values = np.stack([np.interp(grid, steps, returns) for steps, returns in runs])

@@ -14,6 +14,7 @@ from baselines.policies.policy import Policy
 from mbn_marl.config import NavigationConfig, make_config
 from mbn_marl.engine import BatchEngine
 from mbn_marl.engine.mdp.disturbances import OF_ACTIONS, OF_SIGHT
+from mbn_marl.episode.recorder import find_engine
 from mbn_marl.errors import MbnError
 from mbn_marl.field import Field
 
@@ -47,21 +48,26 @@ class ControllerPolicy(Policy):
     def __init__(self, problem: Problem, begin: Callable[[Empty], Controller]) -> None:
         self.problem, self.begin = problem, begin
         self._of_world: list[Controller | None] = []
-        self._engine: BatchEngine | None = None
 
     def fit(self, engine: BatchEngine) -> Policy:
-        self._engine = engine  # the state does not say which ROIs are empty
-        return super().fit(engine)
+        one = copy(self)
+        one._of_world = []
+        return one
+
+    def act_in(self, world: Any, observations: Any, *, deterministic: bool = True) -> Any:
+        # The state does not say which ROIs are empty.
+        empty = find_engine(world).decoys[:, : self.problem.m]
+        return self._act(np.atleast_2d(world.state()), empty)
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         """Return actions (worlds, n, 2) for states (worlds, 4n+1), or (worlds, 5n+1) with flags."""
+        return self._act(seen, np.zeros((len(seen), self.problem.m), bool))
+
+    def _act(self, seen: np.ndarray, empty: NDArray[np.bool_]) -> np.ndarray:
         n, m = self.problem.n, self.problem.m
         positions = seen[:, : 2 * n].reshape(-1, n, 2)
         velocities = seen[:, 2 * n : 4 * n].reshape(-1, n, 2)
         codes = seen[:, -1].astype(np.int64)
-        empty = np.zeros((len(seen), m), bool)
-        if self._engine is not None:
-            empty |= self._engine.decoys[:, :m]
         visited = (codes[:, None] >> np.arange(m - 1, -1, -1) & 1).astype(bool) | empty
         failed = np.zeros((len(seen), n), bool)
         if seen.shape[1] > 4 * n + 1:

@@ -23,6 +23,7 @@ CARD = "card.json"
 RANDOM = "random"
 # The zoo's policy of each field.
 ZOO = "zoo"
+NAMES = (*CLASSICAL, RANDOM, ZOO)
 
 
 def entry_names() -> list[str]:
@@ -58,17 +59,18 @@ def load_trained(run: Path | RunFolder) -> TrainedPolicy:
 
 
 def is_trained(source: str) -> bool:
-    return source.startswith(PREFIX) or Path(source).is_dir()
+    # A folder that has the name of a policy needs ./ before it, in every directory.
+    return source.startswith(PREFIX) or (source not in NAMES and Path(source).is_dir())
 
 
 def is_policy(source: str) -> bool:
-    return source in (RANDOM, ZOO, *CLASSICAL) or is_own(source) or is_trained(source)
+    return source in NAMES or is_own(source) or is_trained(source)
 
 
 def check_known(source: str) -> None:
     if not is_policy(source):
         others = f"{PREFIX}NAME", FORM, "the folder of a run"
-        problem = unknown("policy", source, (*CLASSICAL, RANDOM, ZOO, *others))
+        problem = unknown("policy", source, (*NAMES, *others))
         if source in catalogue_names():
             problem = f"is a field; name a policy, for example: greedy --field {source}"
         elif "/" in source:

@@ -73,24 +73,34 @@ class LoadedPolicy(Wrapped):
         """
         if isinstance(seen, Mapping):
             return self._act_by_name(seen, deterministic)
-        (fitted, shape), on_state = self.fitted, self.observes == "state"
-        rank = 1 if on_state else 2  # of one world
-        array = np.asarray(seen, None if on_state else np.float32)
-        alone, fits = array.ndim == rank, shape is None or array.shape[-rank:] == shape
-        if array.ndim not in (rank, rank + 1) or not fits:
-            raise ConfigError(self.name, [f"{self._wanted()}, not {array.shape}"])
-        actions = fitted.act(array[None] if alone else array, deterministic=deterministic)
-        clipped: NDArray[np.float32] = np.clip(np.asarray(actions, np.float32), -1.0, 1.0)
-        return clipped[0] if alone else clipped
+        on_state = self.observes == "state"
+        return self._act(np.asarray(seen, None if on_state else np.float32), deterministic)
 
     def act_in(self, world: Any, observations: Any, *, deterministic: bool = True) -> Any:
         """Act as :meth:`act`, in an engine or an environment that has shown ``observations``."""
-        if isinstance(observations, Mapping):
-            if self.observes != "state":
+        by_name = isinstance(observations, Mapping)
+        if self.observes != "state":
+            if by_name:
                 return self._act_by_name(observations, deterministic, len(world.possible_agents))
-            actions = self.act(world.state(), deterministic)
-            return {agent: actions[int(agent.removeprefix("robot_"))] for agent in observations}
-        return super().act_in(world, observations, deterministic=deterministic)
+            return self.act(observations, deterministic)
+        actions = self._act(np.asarray(world.state()), deterministic, world)
+        if not by_name:
+            return actions
+        return {agent: actions[int(agent.removeprefix("robot_"))] for agent in observations}
+
+    def _act(self, seen: NDArray[Any], deterministic: bool, world: Any = None) -> Any:
+        fitted, shape = self.fitted
+        rank = 1 if self.observes == "state" else 2  # of one world
+        alone, fits = seen.ndim == rank, shape is None or seen.shape[-rank:] == shape
+        if seen.ndim not in (rank, rank + 1) or not fits:
+            raise ConfigError(self.name, [f"{self._wanted()}, not {seen.shape}"])
+        rows = seen[None] if alone else seen
+        if world is None:
+            actions = fitted.act(rows, deterministic=deterministic)
+        else:
+            actions = fitted.act_in(world, rows, deterministic=deterministic)
+        clipped: NDArray[np.float32] = np.clip(np.asarray(actions, np.float32), -1.0, 1.0)
+        return clipped[0] if alone else clipped
 
     def _act_by_name(
         self, observations: Mapping[str, ArrayLike], deterministic: bool, team: int | None = None

@@ -50,7 +50,7 @@ class Policy:
 
     def act_in(self, world: Any, observations: Any, *, deterministic: bool = True) -> Any:
         """Act on the ``state()`` of an engine or environment, or on its ``observations``."""
-        seen = world.state() if self.observes == "state" else observations
+        seen = np.atleast_2d(world.state()) if self.observes == "state" else observations
         return self.act(seen, deterministic=deterministic)
 
     def reset(self, worlds: np.ndarray | None = None) -> None:

@@ -1,6 +1,7 @@
 """The folder of a training run; docs/baselines.md lists its files."""
 
 import csv
+import itertools
 import json
 import os
 import re
@@ -64,7 +65,9 @@ class RunFolder:
     def open(cls, path: Path) -> Self:
         if not (path / "config.json").is_file():
             raise RunError(f"{path} is not a run folder: it has no config.json")
-        inside = (file for name in FOLDERS for file in (path / name).rglob("*"))
+        walks = (step for name in FOLDERS for step in os.walk(path / name))
+        # Unlike rglob, a walk goes on if a run under way replaces a checkpoint meanwhile.
+        inside = (Path(top) / one for top, *names in walks for one in itertools.chain(*names))
         for file in (*path.iterdir(), *inside):
             if file.is_symlink():  # to resume would write to the link's target
                 raise RunError(f"{file} is a link; a run folder has its files in it")

@@ -3,6 +3,7 @@
 import inspect
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict
 from numbers import Real
 from pathlib import Path
@@ -209,11 +210,14 @@ def _transitions(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
     return {name: array for name, array in arrays.items() if len(array) == buffer.buffer_size}
 
 
+class LearnerEndedError(Exception):
+    """Leaves ``learn`` before a rollout: its callbacks end it after a step more, ARS not at all."""
+
+
 class Reporter(BaseCallback, KVWriter):
     def __init__(self, recorder: Recorder, learner: Learner) -> None:
         super().__init__()
         self._recorder, self._learner, self._reported = recorder, learner, 0
-        self._ended = False
 
     def _on_training_start(self) -> None:
         self._recorder.start()
@@ -223,12 +227,14 @@ class Reporter(BaseCallback, KVWriter):
         self._report()
         learner = self._learner
         begun = learner.worlds.curriculum.begun
-        self._ended = not self._recorder.has_more(learner.env_steps, begun=begun)
+        more = self._recorder.has_more(learner.env_steps, begun=begun)
         if self._recorder.checkpoint_due:
             self._recorder.save_checkpoint(learner.env_steps, learner.policy, learner.save)
+        if not more:
+            raise LearnerEndedError
 
     def _on_step(self) -> bool:
-        return not self._ended
+        return True
 
     def _on_training_end(self) -> None:
         self._report()
@@ -267,14 +273,21 @@ def train(task: Task, hyperparameters: SB3Config, recorder: Recorder) -> None:
     if isinstance(model, OnPolicyAlgorithm):
         log_interval = math.ceil(ROW_STEPS * stride / (model.n_steps * model.n_envs))
     if (parts := recorder.left / task.config.steps) > 1.0:
-        falling = model.lr_schedule
-        model.lr_schedule = lambda left: falling(max(0.0, 1.0 - parts * (1.0 - left)))
-    model.learn(
-        recorder.left * stride - model.num_timesteps,
-        callback=reporter,
-        log_interval=log_interval,
-        reset_num_timesteps=recorder.checkpoint is None,
-    )
+        whole = model._update_current_progress_remaining
+
+        def update(taken: int, total: int) -> None:
+            whole(taken, total)
+            left = 1.0 - parts * (1.0 - model._current_progress_remaining)
+            model._current_progress_remaining = max(0.0, left)
+
+        model._update_current_progress_remaining = update
+    with suppress(LearnerEndedError):
+        model.learn(
+            recorder.left * stride - model.num_timesteps,
+            callback=reporter,
+            log_interval=log_interval,
+            reset_num_timesteps=recorder.checkpoint is None,
+        )
     recorder.finish(learner.env_steps, learner.policy)
 
 

@@ -17,7 +17,7 @@ from mbn_marl.adapters.infos import Infos
 from mbn_marl.adapters.one_world import (
     RENDER_FPS,
     OneWorld,
-    check_central,
+    central_problems,
     flag_problems,
     fresh_seed,
     make_parts,
@@ -95,9 +95,8 @@ class CentralizedEnv(_WithSpec, OneWorld, gymnasium.Env[State, Actions]):
     ) -> None:
         if "frameskip" in settings:  # TorchRL's GymEnv tries it, and expects the error of Python
             raise TypeError("CentralizedEnv() got an unexpected keyword argument 'frameskip'")
-        wrong = flag_problems(flat=flat)
+        wrong = flag_problems(flat=flat) + central_problems(settings)
         super().__init__(field, render_mode, render_size, wrong, n_robots=n_robots, **settings)
-        check_central(self.engine.config)
         self.observation_space = self.state_space
         n = self.engine.n_robots
         self._action_shape = (2 * n,) if flat else (n, 2)
@@ -187,6 +186,10 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         **settings: Unpack[FixedSettings],
     ) -> None:
         problems = rename_max_steps("max_episode_steps", max_episode_steps, settings)
+        problems += central_problems(settings)
+        names = {"num_worlds": "num_envs"}
+        if max_episode_steps is not None:
+            names["max_steps"] = "max_episode_steps"
         self.render_mode, mode = render_mode, AutoresetMode.NEXT_STEP
         try:
             mode = AutoresetMode(autoreset_mode)
@@ -199,10 +202,9 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         view = render_mode, ("rgb_array",), render_size
         how = {"autoreset": mode.name.lower(), "threads": threads, "n_robots": n_robots}
         self._viewer, engine = make_parts(
-            self, view, field, num_envs, settings, problems, "num_envs", **how
+            self, view, field, num_envs, settings, problems, names, **how
         )
         self.engine = engine
-        check_central(engine.config)
         self._infos = Infos(engine)
         self.num_envs = num_envs
         self.single_observation_space = spaces.Box(

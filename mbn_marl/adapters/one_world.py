@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Unpack
 
 import gymnasium
@@ -76,13 +77,14 @@ class OneWorld:
         render_mode: str | None,
         render_size: tuple[int, int],
         problems: Sequence[str] = (),
+        names: Mapping[str, str] = MappingProxyType({}),
         /,
         **settings: Unpack[Settings],
     ) -> None:
         self.render_mode = render_mode
         view = render_mode, self.metadata["render_modes"], render_size
         how: dict[str, Any] = {"autoreset": False, "threads": 1}
-        self._viewer, engine = make_parts(self, view, field, 1, settings, problems, **how)
+        self._viewer, engine = make_parts(self, view, field, 1, settings, problems, names, **how)
         self.engine = engine
         self.state_space = spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
         self._infos = Infos(engine)
@@ -154,13 +156,13 @@ def make_parts(
     num_worlds: int,
     settings: Mapping[str, Any],
     problems: Sequence[str] = (),
-    count: str = "num_worlds",
+    names: Mapping[str, str] = MappingProxyType({}),
     **options: Any,
 ) -> tuple[LazyViewer, BatchEngine]:
     """Return a form's viewer and engine; an error adds all problems of both to ``problems``.
 
     It is a FieldError if a field cannot be read, else a ConfigError.
-    ``count`` is the form's own name of ``num_worlds``.
+    ``names`` are the form's own names of the engine's arguments.
     """
     found = [*problems]
     known, unknown = known_settings(settings, form)
@@ -171,7 +173,10 @@ def make_parts(
     try:
         engine = BatchEngine(field, num_worlds, **options, **known)
     except ProblemsError as error:
-        own = [re.sub(r"\bnum_worlds(?=:)", count, problem) for problem in error.problems]
+        own = [
+            re.sub(r"\b\w+(?=:)", lambda found: names.get(found[0], found[0]), problem)
+            for problem in error.problems
+        ]
         if isinstance(error, FieldError):
             raise FieldError(error.source, own).beside([*found, *unknown]) from None
         found += own
@@ -218,11 +223,10 @@ def known_settings(settings: Mapping[str, Any], form: object) -> tuple[dict[str,
     return known, []
 
 
-def check_central(config: NavigationConfig) -> None:
+def central_problems(settings: Mapping[str, Any]) -> list[str]:
     """Refuse settings in which no robot sees the state that a central policy acts on."""
-    if config.knowledge == "own":
-        allowed = "allowed: 'team', since one policy sees the whole state"
-        raise ConfigError("environment", [f"knowledge: {config.knowledge!r}; {allowed}"])
+    allowed = "allowed: 'team', since one policy sees the whole state"
+    return [f"knowledge: 'own'; {allowed}"] if settings.get("knowledge") == "own" else []
 
 
 def rename_max_steps(name: str, value: int | None, settings: FixedSettings) -> list[str]:

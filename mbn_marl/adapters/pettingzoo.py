@@ -89,7 +89,9 @@ class NavigationParallelEnv(OneWorld, ParallelEnv[str, Observation, Action]):
         if failed_agents not in get_args(FailedAgents):
             allowed = ", ".join(map(repr, get_args(FailedAgents)))
             problems.append(f"failed_agents: {failed_agents!r}; allowed: {allowed}")
-        super().__init__(field, render_mode, render_size, problems, n_robots=n_robots, **settings)
+        names = {} if max_cycles is None else {"max_steps": "max_cycles"}
+        view = render_mode, render_size
+        super().__init__(field, *view, problems, names, n_robots=n_robots, **settings)
         self.possible_agents = [f"robot_{index}" for index in range(self.engine.n_robots)]
         self._index = {agent: index for index, agent in enumerate(self.possible_agents)}
         self.agents: list[str] = []

@@ -30,7 +30,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from mbn_marl.adapters.one_world import (
     RENDER_FPS,
-    check_central,
+    central_problems,
     flag_problems,
     make_parts,
 )
@@ -90,7 +90,7 @@ class NavigationVecEnv(VecEnv):
         self.render_mode = render_mode
         view = render_mode, ("rgb_array",), RENDER_SIZE
         how: dict[str, Any] = {"seed": seed, "autoreset": "disabled", "threads": threads}
-        how |= {"count": self._count, "problems": self._problems}
+        how |= {"names": {"num_worlds": self._count}, "problems": self._problems}
         self._viewer, self.engine = make_parts(self, view, field, num_worlds, settings, **how)
         self._rows_per_world, observation_space, action_space = self._row()
         self._actions: NDArray[Any] | None = None
@@ -265,15 +265,14 @@ class CentralizedVecEnv(NavigationVecEnv):
         joint_observation: bool = False,
         **settings: Unpack[Settings],
     ) -> None:
-        self._problems = flag_problems(joint_observation=joint_observation)
+        central = [] if joint_observation else central_problems(settings)
+        self._problems = flag_problems(joint_observation=joint_observation) + central
         self._joint = joint_observation
         how: dict[str, Any] = {"seed": seed, "threads": threads, "render_mode": render_mode}
         super().__init__(field, num_envs, **how, **settings)
 
     def _row(self) -> tuple[int, spaces.Box, spaces.Box]:
         engine, n = self.engine, self.engine.n_robots
-        if not self._joint:
-            check_central(engine.config)
         seen = spaces.Box(engine.state_low, engine.state_high, dtype=engine.dtype.type)
         if self._joint:
             bounds = np.tile(engine.observation_low, n), np.tile(engine.observation_high, n)

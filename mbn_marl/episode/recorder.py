@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from mbn_marl.engine import BatchEngine
+from mbn_marl.engine.validation import as_array
 from mbn_marl.episode.episode import Array, Episode
 from mbn_marl.episode.play import of_team, play
 from mbn_marl.errors import EpisodeError, MbnError
@@ -67,18 +68,13 @@ class EpisodeRecorder:
     def stepped(self, actions: Any, ended: Any) -> None:
         """Record the world's part of a step; the engine calls this."""
         engine, world = self._engine, self._world
-        if not self._recording:
-            if engine.autoreset == "next_step":
-                self._begin()
-            return
-        tape, acted = self._tapes[-1], actions[world]
-        acted = np.asarray(acted.cpu() if hasattr(acted, "cpu") else acted)
-        tape.actions.append(np.clip(acted, -1, 1).astype(engine.dtype))
-        tape.rewards.append(float(engine.team_rewards[world]))
-        if ended[world]:
-            self._recording = False
-            if engine.autoreset == "same_step":
-                self._begin()
+        if self._recording:
+            tape, acted = self._tapes[-1], as_array(actions[world])
+            tape.actions.append(np.clip(acted, -1, 1).astype(engine.dtype))
+            tape.rewards.append(float(engine.team_rewards[world]))
+            self._recording = not ended[world]
+        if not self._recording and engine.autoreset != "disabled":
+            self._begin()
 
     def _begin(self) -> None:
         engine, world = self._engine, self._world

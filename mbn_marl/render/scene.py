@@ -28,6 +28,7 @@ _MARGIN, _HEADER, _FOOTER = 16.0, 46.0, 20.0
 _ROBOT, _ROI, _TRAIL, _COMPASS = 8.0, 6.0, 2.0, 19.0
 _FONT, _SMALL_FONT = 18.0, 13.0
 _FINE = 4  # how many times larger than shown a piece is drawn
+_LARGE = 1200  # a sprite of so many pixels is drawn as large as it is shown
 _VISITED_TINT, _SAFETY_TINT = 70, 60  # opacity, 0 to 255, of the circles drawn to scale
 _ROOM = 1.2  # a circle to scale is drawn where it is so many times larger than the marker inside
 _OWN = 1.65  # radius of the ring round the user's robot, as a share of the robot's disc
@@ -96,9 +97,10 @@ class Scene:
         self._canvas = self._background.copy()
         self._drawn = np.empty((0, robots, 2))
         self._roi_pixels = self._view.to_pixels(field.rois)
-        reach = snapshot.roi_radius * self._view.scale
+        whole = math.hypot(width, height)  # a larger circle looks the same
+        reach = min(snapshot.roi_radius * self._view.scale, whole)
         self._rois = [_roi(visited, _ROI * self._ui, reach) for visited in (False, True)]
-        safety = snapshot.safety_distance / 2.0 * self._view.scale
+        safety = min(snapshot.safety_distance / 2.0 * self._view.scale, whole)
         self._robots = [
             _robot(index, _ROBOT * self._ui, safety, own=index == self._own)
             for index in range(robots)
@@ -276,6 +278,7 @@ def _wind_arrow(wind: tuple[float, float], radius: float) -> pygame.Surface:
 
 def _sprite(radius: float, paint: Painter) -> pygame.Surface:
     side = 2 * math.ceil(radius + 1)
-    fine = pygame.Surface((side * _FINE, side * _FINE), pygame.SRCALPHA, 32)
-    paint(fine, side * _FINE / 2, float(_FINE))
+    times = _FINE if side < _LARGE else 1
+    fine = pygame.Surface((side * times, side * times), pygame.SRCALPHA, 32)
+    paint(fine, side * times / 2, float(times))
     return pygame.transform.smoothscale(fine.premul_alpha(), (side, side))

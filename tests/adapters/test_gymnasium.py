@@ -99,9 +99,10 @@ class TestBadInput:
             env.step(np.zeros((3, 2)))
 
     def test_names(self):
-        wrong = {"render_mode": "x", "autoreset_mode": "x", "max_steps": 0}
+        wrong = {"render_mode": "x", "autoreset_mode": "x", "max_episode_steps": 0}
+        wrong["knowledge"] = "own"
         found = places_of(ConfigError, CentralizedVectorEnv, 0, **wrong)
-        assert sorted(found) == ["autoreset_mode", "max_steps", "num_envs", "render_mode"]
+        assert sorted(found) == sorted([*wrong, "num_envs"])
         assert places_of(ConfigError, centralized_env, flat="no", tau=0) == ["flat", "tau"]
         for call, error, place in (
             (lambda: centralized_env(autoreset=1), ConfigError, "autoreset: "),

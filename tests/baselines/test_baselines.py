@@ -65,6 +65,9 @@ def test_centralized_model_arguments_are_those_of_the_library():
         **centralized_config.load("ppo", "N", {}).model,
         **{"gamma": 0.5, "learning_rate": changed.model["learning_rate"]},
     }
+    net = {"model": {"policy_kwargs": {"net_arch": [8]}}}
+    kept = centralized_config.load("ppo-shared", "N", net).model["policy_kwargs"]
+    assert kept == {"net_arch": [8], "log_std_init": 0.5}
     rate = centralized_config.model_arguments(changed)["learning_rate"]
     past_the_budget = -0.5
     assert [rate(rest) for rest in (1.0, 0.5, 0.0, past_the_budget)] == [3.0, 2.0, 1.0, 1.0]

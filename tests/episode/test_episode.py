@@ -136,6 +136,21 @@ def test_episode_after_episode(autoreset):
         check_episode(one)
 
 
+@pytest.mark.parametrize("autoreset", ["same_step", "next_step"])
+def test_recording_begins_with_the_next_episode_and_takes_any_actions(autoreset):
+    engine = BatchEngine("field_03", 2, autoreset=autoreset, max_steps=5)
+    engine.reset()
+    engine.step(engine.sample_actions())
+    with EpisodeRecorder(engine) as recorder:
+        for _ in range(12):
+            engine.step(torch.from_numpy(engine.sample_actions()).requires_grad_())
+            engine.step(torch.from_numpy(engine.sample_actions()).bfloat16())
+    finished = [one for one in recorder.episodes if one.outcome == "truncated"]
+    assert len(finished) >= 2
+    for one in finished:
+        check_episode(one)
+
+
 def test_what_is_recorded_is_what_happened():
     """Two robots go for an ROI each, worked out by hand; the third stays."""
     field = Field(

@@ -122,7 +122,22 @@ def test_policies_on_the_state_take_it_and_begin_again(name):
     assert not env.agents
 
 
-def test_wrong_observations_and_sources_are_refused_by_place(tmp_path):
+def test_a_loaded_policy_knows_the_empty_rois_of_every_world_and_forgets_no_episode():
+    own = {"knowledge": "own", "decoys": 3, "max_steps": 60}
+    policy = load_policy("greedy", "field_03", **own)
+    engine = BatchEngine("field_03", 4, seed=5, autoreset="disabled", **policy.settings)
+    seen, steps = engine.reset(), np.zeros(4, int)
+    while engine.running.any():
+        if steps.max() == 3:
+            found = evaluate(policy, policy.field, policy.settings, episodes=4, seed=5)
+        steps += engine.running
+        seen, *_ = engine.step(policy.act_in(engine, seen))
+    assert steps.tolist() == found.steps and found.successes == [True] * 4
+
+
+def test_wrong_observations_and_sources_are_refused_by_place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "greedy").mkdir()  # as mbn benchmark greedy --out greedy makes it
     policy = load_policy("zoo:field_07")
     with pytest.raises(ConfigError, match=r"zoo:field_07.*\n.*\(2, 3, 30\)"):
         policy.act(np.zeros((2, 3, 30)))

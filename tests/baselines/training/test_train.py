@@ -33,7 +33,7 @@ from mbn_marl.errors import ConfigError
 from mbn_marl.field import Field, load_field, save_field
 from tests.support.pages import MBN
 from tests.support.problems import places_of
-from tests.support.runs import STAGES, interrupted, recorded, same_policies, small_config
+from tests.support.runs import SHORT, STAGES, interrupted, recorded, same_policies, small_config
 
 pytestmark = pytest.mark.slow
 
@@ -245,14 +245,26 @@ def small_learners(monkeypatch):
         monkeypatch.setattr(f"baselines.training.{module}.LEAST_STEPS", 128)
 
 
-@pytest.mark.usefixtures("small_learners")
-@pytest.mark.parametrize("name", ["trpo", "mappo"])
-def test_a_run_of_two_learners_resumes_in_the_second(name, tmp_path, monkeypatch):
-    def perfect(*policy_and_place: Any, **how: Any) -> Evaluation:
+@pytest.fixture
+def perfect(monkeypatch):
+    def succeeding(*policy_and_place: Any, **how: Any) -> Evaluation:
         found = evaluate(*policy_and_place, **how)
         return replace(found, successes=[True] * len(found.returns))
 
-    monkeypatch.setattr(recorder, "evaluate", perfect)
+    monkeypatch.setattr(recorder, "evaluate", succeeding)
+
+
+@pytest.fixture
+def begun(monkeypatch):
+    """The learners that have begun."""
+    begin, learners = recorder.Recorder.begin, list[Any]()
+    monkeypatch.setattr(recorder.Recorder, "begin", lambda *of: (learners.append(of), begin(*of)))
+    return learners
+
+
+@pytest.mark.usefixtures("small_learners", "perfect")
+@pytest.mark.parametrize("name", ["trpo", "mappo"])
+def test_a_run_of_two_learners_resumes_in_the_second(name, tmp_path, monkeypatch, begun):
     config = small_config(name)
     config = replace(config, hyperparameters={**config.hyperparameters, "learners": 2})
     whole = train(config, tmp_path / "whole")
@@ -265,13 +277,28 @@ def test_a_run_of_two_learners_resumes_in_the_second(name, tmp_path, monkeypatch
     assert notes(config)[-1].endswith("takes up to 512 env-steps, not 400")
     # Without a perfect policy the first learner takes all, unless its curriculum has not begun.
     monkeypatch.setattr(recorder, "evaluate", evaluate)
-    begin, learners = recorder.Recorder.begin, []
-    monkeypatch.setattr(recorder.Recorder, "begin", lambda *of: (learners.append(of), begin(*of)))
-    for begun, count in ((True, 1), (False, 2)):
-        monkeypatch.setattr(RoiCurriculum, "begun", begun)
-        learners.clear()
-        train(config, tmp_path / f"{begun}")
-        assert len(learners) == count
+    for shrinking, count in ((True, 1), (False, 2)):
+        monkeypatch.setattr(RoiCurriculum, "begun", shrinking)
+        begun.clear()
+        train(config, tmp_path / f"{shrinking}")
+        assert len(begun) == count
+
+
+@pytest.mark.usefixtures("small_learners", "perfect")
+def test_each_learner_takes_its_part_and_no_step_more(tmp_path, begun):
+    falling = {"clip_range": {"from": 0.4, "to": 0.0}, "learning_rate": {"from": 0.004, "to": 0.0}}
+    models = {"ppo": {**SHORT, **falling}, "ars": {"n_delta": 1, "n_top": 1}}
+    for name, worlds, steps in (("ppo", 2, 384), ("ars", 1, 900)):
+        config = replace(small_config(name), steps=steps)
+        changes = {"num_envs": worlds, "model": models[name], "learners": 2}
+        run = train(replace(config, hyperparameters=changes), tmp_path / name)
+        assert len(begun) == 2
+        begun.clear()
+        if name == "ppo":
+            assert [entry["env_steps"] for entry in run.evaluations] == [192, 320, 384]
+            events = EventAccumulator(str(run.path / "tensorboard")).Reload()
+            rates, clips = map(events.Scalars, ("train/learning_rate", "train/clip_range"))
+            assert [100 * one.value for one in rates] == pytest.approx([one.value for one in clips])
 
 
 @pytest.mark.usefixtures("small_learners")
