@@ -90,11 +90,9 @@ def load(
     num_envs: int | None = None,
     file: Path | None = None,
 ) -> MultiAgentPPOConfig:
-    if file is None:
-        blocks = read_blocks(SOURCE)
-        recorded = {**blocks["shared"], **blocks[algorithm], **blocks.get(setting, {})}
-    else:
-        recorded = read_block(file, setting)
+    blocks = read_blocks(SOURCE)
+    block = blocks.get(setting, {}) if file is None else read_block(file, setting)
+    recorded = {**blocks["shared"], **blocks[algorithm], **block}
     given = {"num_worlds": num_envs} if num_envs is not None else {}
     place = f"hyperparameters of {algorithm}" if file is None else str(file)
     config = validate(MultiAgentPPOConfig, {**recorded, **overrides, **given}, place)

@@ -11,6 +11,7 @@ from baselines.evaluation.evaluate import evaluate, is_one_episode
 from baselines.policies.classical import make_classical
 from baselines.policies.policy import Policy, RandomPolicy
 from baselines.sb3 import config as centralized_config
+from baselines.torchrl import config as multi_agent_config
 from baselines.torchrl.networks import (
     GaussianPolicy,
     JointNormal,
@@ -71,6 +72,11 @@ def test_centralized_model_arguments_are_those_of_the_library():
     rate = centralized_config.model_arguments(changed)["learning_rate"]
     past_the_budget = -0.5
     assert [rate(rest) for rest in (1.0, 0.5, 0.0, past_the_budget)] == [3.0, 2.0, 1.0, 1.0]
+
+
+def test_a_block_of_a_file_is_read_as_the_recorded_one_is():
+    load, file = multi_agent_config.load, multi_agent_config.SOURCE
+    assert load("ippo", "G", {}, file=file) == load("ippo", "G", {})
 
 
 def test_evaluation_reports_true_returns():
