@@ -211,7 +211,7 @@ def _transitions(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
 
 
 class LearnerEndedError(Exception):
-    """Leaves ``learn`` before a rollout: its callbacks end it after a step more, ARS not at all."""
+    """Ends ``learn`` before a rollout; a callback's False ends it a step later, and ARS never."""
 
 
 class Reporter(BaseCallback, KVWriter):
