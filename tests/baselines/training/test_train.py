@@ -285,7 +285,8 @@ def test_a_run_of_two_learners_resumes_in_the_second(name, tmp_path, monkeypatch
 
 
 @pytest.mark.usefixtures("small_learners", "perfect")
-def test_each_learner_takes_its_part_and_no_step_more(tmp_path, begun):
+def test_each_learner_takes_its_part_and_no_step_more(tmp_path, monkeypatch, begun):
+    monkeypatch.setattr("baselines.sb3.trainer.ROW_STEPS", 1)  # each update is logged
     falling = {"clip_range": {"from": 0.4, "to": 0.0}, "learning_rate": {"from": 0.004, "to": 0.0}}
     models = {"ppo": {**SHORT, **falling}, "ars": {"n_delta": 1, "n_top": 1}}
     for name, worlds, steps in (("ppo", 2, 384), ("ars", 1, 900)):
