@@ -66,7 +66,7 @@ class RunFolder:
         if not (path / "config.json").is_file():
             raise RunError(f"{path} is not a run folder: it has no config.json")
         walks = (step for name in FOLDERS for step in os.walk(path / name))
-        # Unlike rglob, a walk goes on if a run under way replaces a checkpoint meanwhile.
+        # A walk, unlike rglob, does not fail where a run replaces a checkpoint.
         inside = (Path(top) / one for top, *names in walks for one in itertools.chain(*names))
         for file in (*path.iterdir(), *inside):
             if file.is_symlink():  # to resume would write to the link's target
