@@ -100,7 +100,7 @@ class TestBadInput:
 
     def test_names(self):
         wrong = {"render_mode": "x", "autoreset_mode": "x", "max_episode_steps": 0}
-        wrong |= {"knowledge": "own"}
+        wrong["knowledge"] = "own"
         found = places_of(ConfigError, CentralizedVectorEnv, 0, **wrong)
         assert {*found} == {*wrong, "num_envs"}
         assert places_of(ConfigError, centralized_env, flat="no", tau=0) == ["flat", "tau"]

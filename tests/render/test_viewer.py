@@ -26,14 +26,15 @@ def test_frame_is_a_new_array_of_height_width_and_three_channels():
     assert np.array_equal(first, kept)
 
 
-@pytest.mark.slow
 def test_circles_to_scale_may_be_larger_than_the_picture():
     settings = {"n_robots": 1, "roi_radius": 1e12, "safety_distance": 1e12}
-    env = parallel_env("field_03", render_mode="rgb_array", **settings)
+    with pytest.warns(UserWarning, match="smaller than an ROI"):
+        env = parallel_env("field_03", render_mode="rgb_array", **settings)
     env.reset(seed=0)
     assert env.render().std() > 1
 
 
+@pytest.mark.slow
 def test_array_needs_no_display_and_opens_none():
     code = (
         "import pygame\n"
