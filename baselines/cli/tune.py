@@ -10,6 +10,7 @@ from baselines.cli.options import CORES, OptionalOutput, Writes, check_options
 from baselines.console import console
 from baselines.paper.published import tuning_ranges
 from baselines.training.config import TrainConfig
+from mbn_marl.errors import collecting
 
 
 @dataclass(frozen=True)
@@ -50,11 +51,17 @@ class Tune(Writes):
         from baselines.sweep.run import make_engine
         from baselines.tuning.tune import CONFIG, DIVERGED, ended, load_study, search_space, tune
 
-        wrong = {"force and resume: allowed is one of them": self.force and self.resume}
-        check_options("tuning", wrong)
-        engine = make_engine(self.engine, self.processes, self.address)
-        space = search_space(self.algorithm)
-        config = TrainConfig(setting="A", **{name: getattr(self, name) for name in CONFIG})
+        wrong = {
+            "force and resume: allowed is one of them": self.force and self.resume,
+            f"trials: at least 1, not {self.trials}": self.trials < 1,
+        }
+        problems: list[str] = []
+        with collecting(problems):
+            engine = make_engine(self.engine, self.processes, self.address)
+        with collecting(problems):
+            space = search_space(self.algorithm)
+            config = TrainConfig(setting="A", **{name: getattr(self, name) for name in CONFIG})
+        check_options("tuning", wrong, problems)
         out = self.out or Path("runs") / f"tune-{self.algorithm}-{Path(self.field).stem}"
         screen = console()
         for name in tuning_ranges(self.algorithm):

@@ -191,8 +191,12 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 def read_blocks(path: Path) -> dict[str, Any]:
     blocks = read_yaml(path)
-    if not all(isinstance(one, dict) for one in blocks.values()):
-        raise ConfigError(str(path), ["must be a mapping from names of blocks to mappings"])
+    if problems := [
+        f"{name}: must be a mapping (got {one!r})"
+        for name, one in blocks.items()
+        if not isinstance(one, dict)
+    ]:
+        raise ConfigError(str(path), problems)
     return blocks
 
 

@@ -201,6 +201,7 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         self.metadata["autoreset_mode"] = mode
         view = render_mode, ("rgb_array",), render_size
         how = {"autoreset": mode.name.lower(), "threads": threads, "n_robots": n_robots}
+        how["seed"] = fresh_seed()  # of a first reset with a mask, which draws none
         self._viewer, engine = make_parts(
             self, view, field, num_envs, settings, problems, names, **how
         )

@@ -102,7 +102,7 @@ def load_map(
         polygons = [one for one in shapes if one.geometry.geom_type == "Polygon"]
         outers = [one for one in polygons if one.kind != "hole"]
         chosen = _chosen(outers, wanted, Path(path).name)
-        corners = shapely.get_coordinates(chosen.geometry.exterior)
+        corners = shapely.get_coordinates(_without_spikes(chosen.geometry).exterior)
         scale = _scale(corners, given.metres_per_unit, notes)
         polygon = _mended(chosen, scale, notes)
         for hole in polygons:
@@ -263,6 +263,14 @@ def _scale(outline: Coordinates, metres_per_unit: float, notes: list[str]) -> Sc
         allowed = f"{2.0 * ROI_RADIUS:g} (an ROI) to {MAX_COORDINATE:g} units; see metres_per_unit"
         raise _error(f"outline: {across} in {kind}; allowed: {allowed}")
     return lambda points: np.round((metres(points) - origin) / metres_per_unit, 3)
+
+
+def _without_spikes(polygon: shapely.Polygon) -> shapely.Polygon:
+    """Return the largest part of a polygon that has an area, which tells where the field is."""
+    if polygon.is_valid:
+        return polygon
+    parts = shapely.get_parts(shapely.get_parts(shapely.make_valid(polygon)))
+    return max((part for part in parts if part.area), key=lambda part: part.area, default=polygon)
 
 
 def _mended(one: _Shape, scale: Scale, notes: list[str]) -> shapely.Polygon:

@@ -183,6 +183,13 @@ class TestVector:
             assert (one.engine.state() != other.engine.state()).any()
             assert one.engine.seed != other.engine.seed
 
+    def test_a_first_reset_with_a_mask_draws_a_seed(self):
+        one, other = (CentralizedVectorEnv(1, "field_03", random_starts=True) for _ in range(2))
+        first, second = (
+            envs.reset(options={"reset_mask": np.array([True])})[0] for envs in (one, other)
+        )
+        assert (first != second).any() and one.engine.seed != other.engine.seed
+
     def test_wrong_options(self):
         envs = CentralizedVectorEnv(2)
         before, _ = envs.reset()

@@ -104,6 +104,13 @@ def test_what_is_mended_is_said(tmp_path, features, note):
     assert load_map(tmp_path / "my farm.geojson")[0] == field
 
 
+def test_a_spike_moves_neither_the_origin_nor_the_arena(tmp_path):
+    square = [[0, 0], [100, 0], [100, 100], [0, 100], [0, 50], [-3000, 50], [0, 50]]
+    field, notes = read(tmp_path, polygon(ring(square)))
+    assert field.vertices.min(0).tolist() == [0, 0] and field.arena == (1000, 1000)
+    assert "the field is 100.0 x 100.0 m" in notes
+
+
 def test_many_corners_are_simplified(tmp_path):
     angles = np.linspace(0, 2 * np.pi, 3000, endpoint=False)
     circle = (200 + 200 * np.stack([np.cos(angles), np.sin(angles)], 1)).tolist()

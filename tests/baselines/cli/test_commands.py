@@ -63,6 +63,10 @@ def test_train_records_the_run_and_evaluate_repeats_its_evaluation(tmp_path, ref
             "compare --algos pppo ppo ppo --fields feld_03 --seeds 0 0",
             ["algorithms: ", "seeds: ", "pppo: ", "feld_03: "],
         ),
+        (
+            "compare --algos ppo:Q mappo:C ippo --fields feld_03 --seeds 0 0",
+            ["ppo: setting: 'Q'", "mappo: setting: 'C'", "seeds: ", "feld_03: "],
+        ),
         ("evaluate greedy", ["--field"]),
         ("evaluate greddy --field field_03", ["greddy: unknown policy (did you mean greedy?)"]),
         ("render greddy --field field_03 -o a.json", ["greddy: unknown policy"]),
@@ -97,6 +101,10 @@ def test_train_records_the_run_and_evaluate_repeats_its_evaluation(tmp_path, ref
         ("tune sac", ["sac: "]),
         ("tune ippo", ["ippo"]),
         ("tune ppo --trials 0", ["trials: "]),
+        (
+            "tune ppo --trials 0 --processes 0 --field feld_03",
+            ["trials: ", "processes: ", "feld_03: "],
+        ),
         ("tune ppo --resume", ["is not the folder of a study"]),
     ],
 )

@@ -43,11 +43,19 @@ def test_variants_on_the_command_line_have_settings():
     ppo, crossq = map(parse_variant, ["ppo", "crossq:A"])
     assert (ppo.name, crossq.name) == ("ppo", "crossq-A")
     assert crossq.training("field_03", 4, steps=9).name == "crossq-A-field_03-seed4"
-    with pytest.raises(ConfigError, match="setting: "):
-        parse_variant("ppo:C")
+    with pytest.raises(ConfigError, match="ppo: setting: 'C'"):
+        CompareConfig((parse_variant("ppo:C"),))
     mappo = parse_variant("mappo:A")
     with pytest.raises(ConfigError, match="setting: "):
         mappo.training("field_03", 0)
+
+
+def test_a_block_that_is_no_mapping_is_named(tmp_path):
+    path = tmp_path / "study.yaml"
+    path.write_text("team: {algorithm: ippo}\nnone:\nword: ippo\n")
+    with pytest.raises(ConfigError) as error:
+        read_variants(path)
+    assert [line.split(":")[0] for line in error.value.problems] == ["none", "word"]
 
 
 def test_variants_in_a_file_have_labels(tmp_path):
