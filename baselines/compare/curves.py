@@ -32,7 +32,7 @@ _PAIR_MARKS: tuple[dict[str, Any], ...] = (
 
 
 class Panel(NamedTuple):
-    """Learning curves of one field, and the best possible return to mark, or ``None``."""
+    """Learning curves, as of one field, and the best possible return to mark, or ``None``."""
 
     curves: Curves
     optimum: float | None = None
@@ -104,7 +104,7 @@ def learning_curves(
     subject: str,
     threshold: float | None = None,
 ) -> Figure:
-    """Draw the mean over seeds against env-steps with its 95 % band, a panel a field.
+    """Draw the mean of each name's curves against env-steps with its 95 % band.
 
     Values are shares, or returns if there is a ``threshold`` to mark. If early returns lie far
     below the others, the axis is logarithmic there, as its label says.
@@ -191,11 +191,11 @@ def pairs(panels: Mapping[str, Mapping[str, Pair]], names: tuple[str, str]) -> F
 
 
 def mean_and_band(runs: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Band:
-    """Return steps, mean, and the ends of the 95 % percentile bootstrap over seeds, (k,) each.
+    """Return steps, mean, and the ends of the 95 % percentile bootstrap over runs, (k,) each.
 
-    The steps are all those of any seed that lie within every seed's range; between two of a seed
+    The steps are all those of any run that lie within every run's range; between two of a run
     its value is interpolated. If there are none, as of two runs of ARS with an evaluation each,
-    the one step is where the latest seed begins; a seed that has ended keeps its last value.
+    the one step is where the latest run begins; a run that has ended keeps its last value.
     """
     first = max(steps[0] for steps, _ in runs)
     last = max(first, min(steps[-1] for steps, _ in runs))
@@ -204,7 +204,7 @@ def mean_and_band(runs: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Band:
     values = np.stack([np.interp(grid, steps, returns) for steps, returns in runs])
     count = len(values)
     drawn = np.random.default_rng(0).integers(0, count, (RESAMPLES, count))
-    weights = np.stack([(drawn == seed).mean(axis=1) for seed in range(count)], axis=1)
+    weights = np.stack([(drawn == run).mean(axis=1) for run in range(count)], axis=1)
     low, high = np.percentile(weights @ values, [2.5, 97.5], axis=0)
     return grid, values.mean(axis=0), low, high
 

@@ -45,7 +45,8 @@ def write_report(
     trainings = find_trainings(paths, note)
     reported = published.REPORTED
     drawn = {
-        **{f"curves_{name}": learning_curves(trainings, name) for name in reported},
+        "curves": learning_curves(trainings, mean_panels(trainings)),
+        **{f"curves_{one}": learning_curves(trainings, panels(trainings, one)) for one in reported},
         **{f"A_against_{name}": against(trainings, "A", name) for name in OTHERS},
         "fields": figures.fields_figure([load_field(name) for name in published.FIELDS]),
     }
@@ -86,7 +87,11 @@ def _page(
 
     (first,) = (one for one in tables.paper_tables(trainings) if (one.kind, one.sample) == PAGE)
     reported = {name: meaning(name) for name in published.REPORTED}
-    shown = [picture(f"curves_{one}", f"Setting {one}: {text}") for one, text in reported.items()]
+    mean = "Mean over the fields that all of a setting's algorithms have, 95 % band over fields"
+    shown = [
+        picture("curves", mean),
+        *(picture(f"curves_{one}", f"Setting {one}: {text}") for one, text in reported.items()),
+    ]
     pairs = [picture(f"A_against_{name}", f"Setting A against {name}") for name in OTHERS]
     page = Template((files(__package__) / "page.md").read_text(encoding="utf-8")).substitute(
         notes=preface,
@@ -113,13 +118,12 @@ def _page(
     return page if preface else page.replace("\n\n\n\n", "\n\n", 1)
 
 
-def learning_curves(trainings: Trainings, setting: str) -> Figure | None:
+def panels(trainings: Trainings, setting: str) -> dict[str, Panel]:
+    """Return the moving means of a setting, a panel a field and a curve a seed."""
     rows = trainings.rows[trainings.rows.setting == setting]
-    if rows.empty:
-        return None
-    groups, panels = rows.groupby(["field", "algorithm"]), {}
+    groups, found = rows.groupby(["field", "algorithm"]), {}
     for field in trainings.field_names:
-        found = {
+        runs = {
             published.display_name(name): [
                 (run.env_steps.to_numpy(), run.moving_mean.to_numpy())
                 for _, run in groups.get_group((field, name)).groupby("seed")
@@ -127,12 +131,36 @@ def learning_curves(trainings: Trainings, setting: str) -> Figure | None:
             for name in trainings.algorithms
             if (field, name) in groups.groups
         }
-        if found:
-            panels[field] = Panel(found, trainings.optimum(field))
+        if runs:
+            found[field] = Panel(runs, trainings.optimum(field))
+    return found
+
+
+def mean_panels(trainings: Trainings) -> dict[str, Panel]:
+    """Return a panel a setting, on the fields that all its algorithms have, and a curve a field."""
+    found = {}
+    for setting in published.REPORTED:
+        fields = panels(trainings.alike(), setting)
+        if not fields:
+            continue
+        means = {
+            name: [curves.mean_and_band(panel.curves[name])[:2] for panel in fields.values()]
+            for name in next(iter(fields.values())).curves
+        }
+        optima = [panel.optimum for panel in fields.values() if panel.optimum is not None]
+        best = sum(optima) / len(fields) if len(optima) == len(fields) else None
+        counted = f"{len(fields)} field{'s' if len(fields) > 1 else ''}"
+        found[f"setting {setting}, {counted}"] = Panel(means, best)
+    return found
+
+
+def learning_curves(trainings: Trainings, drawn: Mapping[str, Panel]) -> Figure | None:
+    if not drawn:
+        return None
     looks = ordered({name: name for name in trainings.algorithms})
     shown = {published.display_name(name): look for name, look in looks.items()}
     subject = "return of training episodes, moving mean"
-    return curves.learning_curves(panels, shown, subject, RETURN_THRESHOLD)
+    return curves.learning_curves(drawn, shown, subject, RETURN_THRESHOLD)
 
 
 def against(trainings: Trainings, first: str, second: str) -> Figure | None:
@@ -142,7 +170,7 @@ def against(trainings: Trainings, first: str, second: str) -> Figure | None:
     means = means.reindex(columns=[first, second]).dropna()
     fields = [name for name in trainings.field_names if name in means.index.unique("field")]
     paper = published.by_algorithm()
-    panels = {}
+    compared = {}
     for algorithm in trainings.algorithms:
         both = [field for field in fields if (algorithm, field) in means.index]
         if not both:
@@ -157,10 +185,10 @@ def against(trainings: Trainings, first: str, second: str) -> Figure | None:
         if {first, second} <= set(published.SETTINGS):
             ours, theirs = (paper.get((algorithm, name), {}) for name in (first, second))
             lines["paper, all ten"] = ours.get("mean"), theirs.get("mean")
-        panels[published.display_name(algorithm)] = lines
-    if not panels:
+        compared[published.display_name(algorithm)] = lines
+    if not compared:
         return None
-    return curves.pairs(panels, (f"setting {first}", f"setting {second}"))
+    return curves.pairs(compared, (f"setting {first}", f"setting {second}"))
 
 
 def study_pictures(study: Path) -> dict[str, Path]:

@@ -11,7 +11,7 @@ from pandas.testing import assert_frame_equal
 
 from baselines.cli import main
 from baselines.paper import tables
-from baselines.paper.report import learning_curves
+from baselines.paper.report import mean_panels, panels
 from baselines.paper.trainings import find_trainings, first_reach, read_progress
 from baselines.runs.files import RunError, write_json
 from baselines.runs.folder import RunFolder
@@ -117,6 +117,27 @@ def test_rankings_are_compared_by_kendalls_tau(tmp_path):
     assert lines[0] == ("A", paper, "PPO > CrossQ > TRPO", "-0.33", "1.00", "field_01")
     assert lines[1][2:] == ("ARS", "missing", "missing", "field_01, field_02, field_03")
     assert lines[2][2:] == ("missing",) * 4
+
+
+def test_the_mean_over_fields_is_of_those_that_all_algorithms_have(tmp_path):
+    for algorithm, field, mean in (
+        ("ppo", "field_01", 1e6),
+        ("ppo", "field_03", 4e6),
+        ("trpo", "field_01", 2e6),
+        ("trpo", "field_03", 3e6),
+        ("trpo", "field_04", 9e6),  # ppo has none
+    ):
+        rows = [(1, mean, 0, mean, mean)] * 2
+        for seed, more in (33, 0.0), (34, 2e6):
+            run = [(1, one[1] + more, 0, one[1] + more, one[1] + more) for one in rows]
+            make_run(tmp_path, run, algorithm=algorithm, field=field, seed=seed)
+    runs = find_trainings([tmp_path])
+    ((title, panel),) = mean_panels(runs).items()
+    assert title == "setting A, 2 fields"
+    found = {name: [means.tolist() for _, means in of] for name, of in panel.curves.items()}
+    assert found == {"PPO": [[2e6] * 2, [5e6] * 2], "TRPO": [[3e6] * 2, [4e6] * 2]}
+    assert panel.optimum == (runs.optimum("field_01") + runs.optimum("field_03")) / 2
+    assert [len(panel.curves["TRPO"]) for panel in panels(runs, "A").values()] == [2, 2, 2]
 
 
 def test_a_page_can_stand_beside_its_folder_with_notes_on_top(tmp_path):
@@ -266,5 +287,5 @@ def test_a_run_without_an_ended_episode_is_missing(rows, tmp_path):
     runs = find_trainings([tmp_path])
     assert tables.coverage(runs).lines[1][1] == f"1 x {len(rows)}k, 1 unfinished"
     assert {table.text().lines[4][3] for table in tables.paper_tables(runs)[:2]} == {"missing"}
-    assert learning_curves(runs, "A") is None
+    assert panels(runs, "A") == mean_panels(runs) == {}
     assert np.isnan(runs.runs.reach).all()
