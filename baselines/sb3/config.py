@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import pydantic
 
 from baselines.training.aids import Count, TrainingAids
-from baselines.training.config import read_block, validate
+from baselines.training.config import merged, read_block, validate
 from mbn_marl.config import describe
 from mbn_marl.errors import ConfigError, unknown
 
@@ -109,7 +109,7 @@ def load(
     block = read_block(file or FOLDER / f"{algorithm}.yaml", name)
     values = {**block, **overrides, **({} if num_envs is None else {"num_envs": num_envs})}
     if "model" in block and "model" in overrides:
-        values["model"] = _merged(block["model"], overrides["model"])
+        values["model"] = merged(block["model"], overrides["model"])
     fields, accepted = SB3Config.model_fields, accepted_arguments(algorithm)
     offered = {name: algorithm in OFFERED.get(name, CLASSES) for name in fields}
     known = [name for name, field in fields.items() if offered[name] and field.repr]
@@ -140,13 +140,6 @@ def load(
     if problems:
         raise ConfigError(place, problems)
     return config.model_copy(update={"model": model, "skipped": {**config.skipped, **foreign}})
-
-
-def _merged(recorded: Any, changes: Any) -> Any:
-    if not (isinstance(recorded, Mapping) and isinstance(changes, Mapping)):
-        return changes
-    inner = {name: _merged(recorded.get(name), value) for name, value in changes.items()}
-    return {**recorded, **inner}
 
 
 def accepted_arguments(algorithm: str) -> dict[str, Any]:

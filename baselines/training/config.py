@@ -207,6 +207,13 @@ def read_block(path: Path, name: str) -> dict[str, Any]:
     return dict(blocks[name])
 
 
+def merged(values: Any, changes: Any) -> Any:
+    """Return mappings with changes in their place, at every depth; other values are replaced."""
+    if not (isinstance(values, Mapping) and isinstance(changes, Mapping)):
+        return changes
+    return {**values, **{name: merged(values.get(name), one) for name, one in changes.items()}}
+
+
 def validate(model: type[Model], values: Mapping[str, Any], source: str) -> Model:
     try:
         return model.model_validate(dict(values))

@@ -10,7 +10,7 @@ from tyro.conf import Positional
 from baselines.cli.compare import WRITTEN, train_and_compare
 from baselines.cli.options import CORES, OptionalOutput, Writes
 from baselines.compare.variants import CompareConfig, labelled
-from baselines.training.config import read_yaml, validate
+from baselines.training.config import merged, read_yaml, validate
 from mbn_marl.errors import ConfigError, unknown
 from mbn_marl.field import catalogue_names
 
@@ -26,6 +26,7 @@ class Plan(BaseModel, frozen=True, extra="forbid"):
     seeds: tuple[int, ...]  # 220 and up, where nobody looked
     steps: int = STEPS
     evaluate_every: int = 65_536
+    shared: dict[str, Any] = {}  # values that all variants begin with
     variants: dict[str, dict[str, Any]]  # the values of ``Variant``, by label
 
 
@@ -60,8 +61,9 @@ class Study(Writes):
         # A field may be a file in this folder.
         here = ((name, path.parent / name) for name in plan.fields)
         fields = tuple(str(file) if file.is_file() else name for name, file in here)
-        variants = labelled(plan.variants, self.study)
-        return CompareConfig(variants, fields, **plan.model_dump(exclude={"variants", "fields"}))
+        blocks = {label: merged(plan.shared, own) for label, own in plan.variants.items()}
+        rest = plan.model_dump(exclude={"shared", "variants", "fields"})
+        return CompareConfig(labelled(blocks, self.study), fields, **rest)
 
     def run(self, command: str) -> bool:
         options = {name: getattr(self, name) for name in ("processes", "force", "resume")}
