@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from mbn_marl.adapters.infos import Infos
 from mbn_marl.adapters.one_world import (
     RENDER_FPS,
+    OfEngine,
     OneWorld,
     central_problems,
     flag_problems,
@@ -25,7 +26,7 @@ from mbn_marl.adapters.one_world import (
     rename_max_steps,
 )
 from mbn_marl.config import FixedSettings
-from mbn_marl.engine import BatchEngine, FieldLike, Fields
+from mbn_marl.engine import FieldLike, Fields
 from mbn_marl.engine.validation import option_problems, reset_problems
 from mbn_marl.errors import ActionError, ConfigError
 from mbn_marl.field import FieldSampler
@@ -35,10 +36,9 @@ State = NDArray[Any]
 Actions = NDArray[np.float32]
 
 
-class _WithSpec:
+class _WithSpec(OfEngine):
     """Adds the time limit to the spec that ``gymnasium.make`` and ``make_vec`` give."""
 
-    engine: BatchEngine
     _spec: EnvSpec | None = None
 
     @property
@@ -214,9 +214,6 @@ class CentralizedVectorEnv(_WithSpec, VectorEnv[State, Actions, NDArray[Any]]):
         self.single_action_space = spaces.Box(-1.0, 1.0, (engine.n_robots, 2), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-
-    def __repr__(self) -> str:
-        return repr(self.engine).replace(type(self.engine).__name__, type(self).__name__, 1)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -57,7 +57,16 @@ class LazyViewer:
             self._viewer = None
 
 
-class OneWorld:
+class OfEngine:
+    """Is shown as its engine is."""
+
+    engine: BatchEngine
+
+    def __repr__(self) -> str:
+        return repr(self.engine).replace(type(self.engine).__name__, type(self).__name__, 1)
+
+
+class OneWorld(OfEngine):
     """An engine with one world, which waits for a reset after its end, and its frames.
 
     Attributes:
@@ -91,9 +100,6 @@ class OneWorld:
         self._started = False
         self._own_field = None if engine.sampler else engine.field
         self._is_given = False
-
-    def __repr__(self) -> str:
-        return repr(self.engine).replace(type(self.engine).__name__, type(self).__name__, 1)
 
     @property
     def optimal_return(self) -> float | None:

@@ -30,6 +30,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from mbn_marl.adapters.one_world import (
     RENDER_FPS,
+    OfEngine,
     central_problems,
     flag_problems,
     make_parts,
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
 Flags = NDArray[np.bool_]
 
 
-class NavigationVecEnv(VecEnv):
+class NavigationVecEnv(OfEngine, VecEnv):
     """The base of the two forms: stepping, automatic reset, seeding and infos.
 
     The worlds have one seed: ``seed(s)`` takes effect at the next ``reset``, as always in
@@ -98,9 +99,6 @@ class NavigationVecEnv(VecEnv):
         rows = self.engine.num_worlds * self._rows_per_world
         super().__init__(rows, observation_space, action_space)
         self.metadata: dict[str, Any] = {**self.metadata, "render_fps": RENDER_FPS}
-
-    def __repr__(self) -> str:
-        return repr(self.engine).replace(type(self.engine).__name__, type(self).__name__, 1)
 
     @abstractmethod
     def _row(self) -> tuple[int, spaces.Box, spaces.Box]:

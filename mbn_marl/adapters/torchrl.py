@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from mbn_marl.adapters.one_world import flag_problems, known_settings
+from mbn_marl.adapters.one_world import OfEngine, flag_problems, known_settings
 from mbn_marl.config import Settings
 from mbn_marl.engine import BatchEngine, Fields
 from mbn_marl.engine.validation import as_array, reset_problems
@@ -27,7 +27,7 @@ Rows = NDArray[Any] | torch.Tensor
 """An array of the engine, which is a tensor on CUDA."""
 
 
-class NavigationEnv(EnvBase):
+class NavigationEnv(OfEngine, EnvBase):
     """The decentralised form, ``num_worlds`` at once, for TorchRL's collectors and losses.
 
     Batch size ``[W]``, one group ``robots`` of ``n``. ``D`` is the engine's dtype.
@@ -137,9 +137,6 @@ class NavigationEnv(EnvBase):
         self._next_seed: int | None = None
         self._loaded = False
         self._make_specs()
-
-    def __repr__(self) -> str:
-        return repr(self.engine).replace(type(self.engine).__name__, type(self).__name__, 1)
 
     def _make_specs(self) -> None:
         engine = self.engine
