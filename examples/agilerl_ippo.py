@@ -1,6 +1,6 @@
 """AgileRL: IPPO with one policy for all robots, on PettingZoo's parallel form.
 
-Requirements: pip install mbn_marl torch==2.13.0 agilerl==2.58.0 peft==0.21.2 (which AgileRL
+Requirements: pip install . torch==2.13.0 agilerl==2.58.0 peft==0.21.2 (which AgileRL
     imports but does not ask for; PettingZoo 1.26.1 comes with it, so not with the suite's
     constraints.txt)
 Command: python examples/agilerl_ippo.py

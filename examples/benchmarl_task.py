@@ -1,6 +1,6 @@
 """BenchMARL: the suite as a task, for any of its algorithms.
 
-Requirements: pip install "mbn_marl[torchrl]" benchmarl==1.5.2 torchrl==0.11.1 tensordict==0.11.0
+Requirements: pip install ".[torchrl]" benchmarl==1.5.2 torchrl==0.11.1 tensordict==0.11.0
 Command: python examples/benchmarl_task.py mappo (or masac --frames 40960)
 Printed: success 52% in the last five batches, with sampled actions: too few frames to solve the
     field

@@ -1,6 +1,6 @@
 """PPO in the style of CleanRL, one file, on the single MDP in Gymnasium's vector form.
 
-Requirements: pip install mbn_marl torch
+Requirements: pip install . torch
 Command: python examples/cleanrl_ppo.py
 Printed: 430 episodes ended in the last rollout, return 158,810 (13 s on one core; optimum 159,490)
 """

@@ -1,6 +1,6 @@
 """Minari: a data set of episodes of a policy, in the single MDP.
 
-Requirements: pip install "mbn_marl[baselines]" "minari[create,hdf5]==0.5.4"
+Requirements: pip install ".[baselines]" "minari[create,hdf5]==0.5.4"
 Command: python examples/minari_dataset.py
 Printed: 20 episodes, 588 steps, return 159,118, in mbn/field_03/greedy-v0 (9 s on one core)
 """

@@ -1,6 +1,6 @@
 """Stable-Baselines3: one PPO policy for all robots.
 
-Requirements: pip install "mbn_marl[sb3]"
+Requirements: pip install ".[sb3]"
 Command: python examples/sb3_ppo.py
 Printed: 1622016 robot-steps, success 100% (18 s on one core)
 """

@@ -1,6 +1,6 @@
 """skrl: PPO on the single MDP in Gymnasium's vector form.
 
-Requirements: pip install mbn_marl torch skrl==2.1.1
+Requirements: pip install . torch skrl==2.1.1
 Command: python examples/skrl_ppo.py
 Printed: 18383 episodes ended, return of the last 100: 159,048 (15 s on one core; optimum 159,490)
 """

@@ -1,6 +1,6 @@
 """Tianshou: PPO on the single MDP, one Gymnasium environment for each world.
 
-Requirements: pip install mbn_marl torch==2.13.0 tianshou==2.0.1 (pandas 2 comes with it, so
+Requirements: pip install . torch==2.13.0 tianshou==2.0.1 (pandas 2 comes with it, so
     not with the suite's constraints.txt)
 Command: python examples/tianshou_ppo.py
 Printed: 163,840 env-steps, return of 100 episodes: 146,432 (35 s on one core; optimum 159,490)
