@@ -235,7 +235,8 @@ def question(results: Results) -> str:
     steps = max(one.row["env_steps"] for one in results.records)
     plural = "s" if results.seeds > 1 else ""
     where = f"{', '.join(results.fields)}, {steps:,} env-steps a run, {results.seeds} seed{plural}"
-    return f"{forms[0].upper()}{forms[1:]} on {where} each?"
+    end = "?" if len(sides) > 1 else ""
+    return f"{forms[0].upper()}{forms[1:]} on {where} each{end}"
 
 
 def _of_one_library(results: Results, order: list[str]) -> list[str]:

@@ -30,7 +30,12 @@ class OwnPolicy(Policy):
             problem = f"callable: {source.partition(':')[2]}{inspect.signature(make)}"
             raise ConfigError(source, [f"{problem}; needed: one argument, the field"])
         self._given = source, make, field
-        self._source, self._made = source, make(field)
+        try:
+            self._source, self._made = source, make(field)
+        except (AttributeError, TypeError) as error:
+            if field is None:
+                error.add_note(f"{source} got no field; name one, such as --field field_03")
+            raise
         made, act = self._made, getattr(self._made, "act", None)
         self.observes = getattr(made, "observes", "observations")
         self.settings: Mapping[str, Any] = getattr(made, "settings", {})

@@ -265,6 +265,8 @@ class CentralizedVecEnv(NavigationVecEnv):
     ) -> None:
         central = [] if joint_observation else central_problems(settings)
         self._problems = flag_problems(joint_observation=joint_observation) + central
+        if settings.pop("num_worlds", None) is not None:  # type: ignore[typeddict-item]
+            self._problems.append("num_worlds: unknown name (did you mean num_envs?)")
         self._joint = joint_observation
         how: dict[str, Any] = {"seed": seed, "threads": threads, "render_mode": render_mode}
         super().__init__(field, num_envs, **how, **settings)

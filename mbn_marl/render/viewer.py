@@ -97,7 +97,7 @@ class Viewer:
             except pygame.error as error:
                 raise DisplayError(
                     f"render_mode='human' needs a display ({error}); "
-                    "render_mode='rgb_array' draws without one"
+                    "render_mode='rgb_array' and `mbn render` draw without one"
                 ) from error
             pygame.display.set_caption(self.caption)
             self._clock = pygame.time.Clock()

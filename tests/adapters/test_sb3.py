@@ -153,6 +153,7 @@ def test_bad_calls_are_refused_before_anything_moves(kind):
             r"render_mode: (.|\n)*num_",
         ),
         (lambda: CentralizedVecEnv("field_03", 0), ConfigError, "num_envs: 0"),
+        (lambda: CentralizedVecEnv("field_03", num_worlds=4), ConfigError, "num_worlds: "),
         (lambda: CentralizedVecEnv("field_03", joint_observation="no"), ConfigError, "joint_obs"),
         (lambda: env.set_attr("label", "other", indices=[0]), MbnError, "label"),
     ):

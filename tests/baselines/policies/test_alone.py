@@ -126,3 +126,9 @@ def test_an_engine_of_own_knowledge_wants_robots_alone():
     assert isinstance(Shielded(Policy()).fit(engine).policy, Alone)
     assert not isinstance(RandomPolicy().fit(engine), Alone)
     assert not isinstance(Policy().fit(BatchEngine("field_03", 1, threads=1)), Alone)
+
+
+def test_a_policy_that_needs_a_field_and_gets_none_names_the_option() -> None:
+    with pytest.raises(AttributeError) as caught:
+        OwnPolicy("tests:made", lambda field: field.starts, None)
+    assert "--field" in caught.value.__notes__[0]
