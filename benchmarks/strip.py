@@ -177,7 +177,8 @@ def reach(rows: DataFrame) -> Figure:
         colour, dash, marker = style.series(look)
         places = np.arange(len(RADII)) + 0.04 * (look - 3)  # side by side
         ends = (means - low, high - means)
-        axes.errorbar(places, means, ends, fmt=marker, color=colour, ls=dash, ms=4, label=label)
+        line = dash if np.isfinite(means[1:] - means[:-1]).any() else "none"
+        axes.errorbar(places, means, ends, fmt=marker, color=colour, ls=line, ms=4, label=label)
     axes.set_xticks(range(len(RADII)), ["all" if r == math.inf else f"{r:g}" for r in RADII])
     axes.set(ylim=(1.0, None), xlabel="comm_radius, units", ylabel="makespan over the bound")
     axes.grid(True)

@@ -155,7 +155,7 @@ def unbounded(rows: DataFrame) -> bool:
 def table(study: Path) -> TextTable:
     """Return a row for each variant, by SPL; gaps are of the median run of a field, mean actions.
 
-    Without bounds makespans are in their place. What no row knows has no column.
+    Without bounds makespans are in their place. A column that no row has a value for is left out.
     """
     rows = rows_of(study)
     steps = unbounded(rows)

@@ -33,7 +33,7 @@ class GreedyLocal(Braking, Policy):
     observes ``lidar_local``; the map, without the starts of other robots, is known, and the kinds
     of all robots. A ``blind`` one ignores the other robots. If ROIs are hidden, robots without any
     go to the nearest part of the field that neither they nor, as far as they know, those that tell
-    them have seen. Where walls leave no room to pass each other, kinds of robots take turns: those
+    them have seen. If walls leave no room to pass each other, kinds of robots take turns: those
     with no ROI keep away from others, or go back to their starts if their turn is over.
     """
 

@@ -5,7 +5,7 @@ The infos follow Stable-Baselines3's conventions. A row has
 - at every step ``TimeLimit.truncated``: the episode ended by ``max_steps`` and nothing else; with
   ``failures`` also ``failed``: whether the row's robot, or how many of its robots, have failed;
   if teams vary also ``present``: whether the row's robot, or how many of its robots, are there.
-  Rows of robots that are not stay: their observations and rewards are 0. Where an episode ends,
+  Rows of robots that are not stay: their observations and rewards are 0. If an episode ends,
   both are of that episode;
 - at the end of an episode also ``terminal_observation``, ``is_success``, the metrics, the numbers
   that it had drawn as ``drawn/...``, and

@@ -19,7 +19,7 @@ MOST_NODES = 100_000
 def least_makespan(masks: Ints, bounds: Ints, whole: int) -> int:
     """Return the least T by which the robots can visit all ROIs if each takes just its bound.
 
-    It is :data:`NEVER` if they cannot. Where the search ends early, T is a lower bound.
+    It is :data:`NEVER` if they cannot. If the search ends early, T is a lower bound.
 
     Args:
         masks: (K,), the sets that some robot can visit, and all of their subsets, rising.

@@ -3,7 +3,7 @@
 The relaxed problem is to visit every ROI by step T, with each robot in the convex hull of the field
 until its last visit, and out of the obstacles as far as the search decides it. Every plan of the
 real problem solves it, and a solution by T is one by T + 1, so a set of ROIs that a robot cannot
-visit by T bounds all larger sets too. Where robots can wait at their starts, a robot's last visit
+visit by T bounds all larger sets too. If robots can wait at their starts, a robot's last visit
 can be assumed to be exactly at T.
 """
 

@@ -75,7 +75,7 @@ class FieldSampler(Checked):
 
     The fields are the same on every processor. All are valid and connected; no passage is narrower
     than 12 units. ROIs are at least 5 units apart, starts at least 12, and both at least 4 units
-    from walls; there is more room where it can be had. What was given as one number is kept as a
+    from walls, and farther if there is room. A range that was given as one number is kept as a
     range with two equal ends. Samplers compare and hash by value, and can be pickled.
 
     Attributes:
