@@ -87,7 +87,7 @@ def _page(
 
     (first,) = (one for one in tables.paper_tables(trainings) if (one.kind, one.sample) == PAGE)
     reported = {name: meaning(name) for name in published.REPORTED}
-    mean = "Mean over the fields that all of a setting's algorithms have, 95 % band over fields"
+    mean = "Mean over the fields that algorithms share, as in the rankings, 95 % band over fields"
     shown = [
         picture("curves", mean),
         *(picture(f"curves_{one}", f"Setting {one}: {text}") for one, text in reported.items()),
