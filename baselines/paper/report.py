@@ -138,9 +138,9 @@ def panels(trainings: Trainings, setting: str) -> dict[str, Panel]:
 
 def mean_panels(trainings: Trainings) -> dict[str, Panel]:
     """Return a panel a setting, on the fields that all its algorithms have, and a curve a field."""
-    found = {}
+    found, alike = {}, trainings.alike()
     for setting in published.REPORTED:
-        fields = panels(trainings.alike(), setting)
+        fields = panels(alike, setting)
         if not fields:
             continue
         means = {
