@@ -69,6 +69,7 @@ ALGORITHMS: Mapping[str, Algorithm] = {
         Algorithm("trpo", "centralized", "sb3", (*PAPER, "J")),
         Algorithm("ars", "centralized", "sb3", PAPER),
         Algorithm("crossq", "centralized", "sb3", PAPER),
+        Algorithm("crossq-sbx", "centralized", "sb3"),
         Algorithm("tqc", "centralized", "sb3", PAPER),
         Algorithm("mappo", "decentralized", "torchrl", ("N", "G")),
         Algorithm("ippo", "decentralized", "torchrl", ("N", "G")),

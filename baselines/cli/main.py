@@ -41,6 +41,7 @@ EXTRAS = {
     **dict.fromkeys(("matplotlib", "pygame", "PIL", "imageio_ffmpeg"), "render"),
     **dict.fromkeys(("highspy", "clarabel", "scipy"), "plan"),
     **dict.fromkeys(("mujoco", "coppeliasim_zmqremoteapi_client"), "sim3d"),
+    **dict.fromkeys(("sbx", "jax"), "sbx"),
     **dict.fromkeys(("onnxruntime", "onnxscript"), "export"),
 }
 

@@ -26,6 +26,7 @@ CLASSES = {
     "ars": "sb3_contrib:ARS",
     "ppo-shared": "stable_baselines3:PPO",
     "crossq": "sb3_contrib:CrossQ",
+    "crossq-sbx": "baselines.sb3.sbx:CrossQ",
     "tqc": "sb3_contrib:TQC",
 }
 # The learner sets some arguments; others are objects and classes, which no file can hold. Noise
@@ -60,7 +61,7 @@ OFFERED: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(
         ("roi_radius", "scattered", "episode_steps"), ("a2c", "ppo", "trpo", "ppo-shared")
     ),
-    "joint_observation": ("a2c", "ppo", "trpo", "ars", "crossq", "tqc"),
+    "joint_observation": ("a2c", "ppo", "trpo", "ars", "crossq", "crossq-sbx", "tqc"),
 }
 
 

@@ -83,6 +83,9 @@ class SB3Policy(TrainedPolicy):
     @classmethod
     def of(cls, model: BaseAlgorithm, algorithm: str, observes: str) -> Self:
         names = {kind: name for name, kind in model.policy_aliases.items()}
+        network = model.policy
+        if hasattr(model, "in_torch"):  # of crossq-sbx, whose networks are those of crossq
+            algorithm, network = "crossq", model.in_torch()
         shape = {
             "algorithm": algorithm,
             "observes": observes,
@@ -96,7 +99,7 @@ class SB3Policy(TrainedPolicy):
             },
         }
         normalization = Normalization.of(model.get_vec_normalize_env())
-        return cls(model.policy, shape, normalization, model)
+        return cls(network, shape, normalization, model)
 
     def act(self, seen: np.ndarray, *, deterministic: bool) -> np.ndarray:
         """Actions (worlds, n, 2) for states (worlds, 4n+1) or observations (worlds, n, size)."""

@@ -127,11 +127,11 @@ class Learner:
         self.worlds, env = make_env(task, hyperparameters, episodes)
         self.stride = self.worlds.stride  # the library counts a step of each row
         set_random_seed(config.seed, using_cuda=config.device == "cuda")
-        env.action_space.seed(config.seed)
         kind: Any = algorithm_class(config.algorithm)
         self.model: Any = (ResumableARS if kind is ARS else kind)(
             hyperparameters.policy, env, device=config.device, **model_arguments(hyperparameters)
         )
+        self.model.action_space.seed(config.seed)
         self.worlds.every = getattr(self.model, "n_steps", 1)
 
     @property

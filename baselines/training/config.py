@@ -43,8 +43,8 @@ class DivergenceError(MbnError):
 class TrainConfig:
     """A training run: what is asked of it, and the options of `mbn train`."""
 
-    # One of a2c, ppo, trpo, ars, crossq, tqc, ppo-joint (centralised); mappo, ippo, ppo-shared
-    # (decentralised).
+    # One of a2c, ppo, trpo, ars, crossq, crossq-sbx, tqc, ppo-joint (centralised); mappo, ippo,
+    # ppo-shared (decentralised).
     algorithm: Positional[Annotated[str, arg(metavar="ALGO")]]
     # A name of `mbn fields`, or the path of a field file; setting G, or network=entities, takes
     # random_convex, random_shapes and sampler files too.

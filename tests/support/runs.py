@@ -33,6 +33,7 @@ LEARNERS: dict[str, dict[str, Any]] = {
     "trpo": {"model": SHORT, **STAGES},
     "ars": {"model": {"n_delta": 1, "n_top": 1, **FALLING}, "num_envs": 1},
     "crossq": {"model": {**REPLAY, "gradient_steps": 2}},
+    "crossq-sbx": {"model": {**REPLAY, "gradient_steps": 2}},
     "tqc": {"model": REPLAY},
     "ppo-shared": {"model": SHORT, **STAGES},
 }
