@@ -242,7 +242,7 @@ class Reporter(BaseCallback, KVWriter):
     def _report(self) -> None:
         learner = self._learner
         if (env_steps := learner.env_steps) > self._reported:
-            self._recorder.update(env_steps, learner.policy, learner.diagnostics)
+            self._recorder.update(env_steps, lambda: learner.policy, learner.diagnostics)
             self._reported = env_steps
 
     def write(

@@ -277,7 +277,7 @@ class Trainer:
             if self.curriculum.move():
                 self._collect_from(self._make_env())
             env_steps += config.decisions
-            self.recorder.update(env_steps, policy, diagnostics | losses)
+            self.recorder.update(env_steps, lambda: policy, diagnostics | losses)
             if self.recorder.checkpoint_due:
                 save = partial(self._save, env_steps)
                 self.recorder.save_checkpoint(env_steps, policy, save)

@@ -205,8 +205,12 @@ class Recorder:
         self._wall_started_at = self._wall_started_at or self._started_at
 
     def update(
-        self, env_steps: int, policy: TrainedPolicy, diagnostics: Mapping[str, float]
+        self,
+        env_steps: int,
+        policy: Callable[[], TrainedPolicy],
+        diagnostics: Mapping[str, float],
     ) -> None:
+        # ``policy`` is called if it is to be evaluated: to make one takes time.
         # ``diagnostics`` are numbers for progress.csv, with the same names every time.
         self._diagnostics = diagnostics
         every, last = self._task.config.evaluate_every, not self.has_more(env_steps, begun=True)
@@ -216,7 +220,7 @@ class Recorder:
             return
         self._write_row(env_steps)
         if evaluation_due:
-            self._evaluate_on_the_way(env_steps, policy)
+            self._evaluate_on_the_way(env_steps, policy())
         slow = self._seconds - self._saved_at >= CHECKPOINT_SECONDS
         due = self.checkpoint_due or evaluation_due or slow
         self.checkpoint_due = due and not last
