@@ -1,5 +1,6 @@
 """CrossQ of sbx, by the authors of Stable-Baselines3: JAX learns, SB3-Contrib's networks act."""
 
+import os
 from collections.abc import Mapping
 from operator import itemgetter
 from typing import Any, ClassVar
@@ -16,6 +17,10 @@ from stable_baselines3.common.utils import ConstantSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 from torch import nn
+
+# One thread, as torch has in training: XLA's sums are in another order for each number of threads.
+# It reads this at its first computation.
+os.environ.setdefault("NPROC", "1")
 
 
 class FlatActions(VecEnvWrapper):
@@ -68,7 +73,7 @@ class CrossQ(sbx.CrossQ):
     ) -> None:
         leaves, tree = jax.tree.flatten(self._learned())
         saved = load_path_or_dict["jax"]["state"]
-        types = [np.asarray(leaf).dtype for leaf in leaves]
+        types = [jax.numpy.asarray(leaf).dtype for leaf in leaves]
         new = [jax.numpy.asarray(saved[i]["leaf"].numpy(), kind) for i, kind in enumerate(types)]
         actor, critics, entropy, self.key, *keys = jax.tree.unflatten(tree, new)
         self.policy.actor_state, self.policy.qf_state, self.ent_coef_state = actor, critics, entropy
