@@ -22,7 +22,8 @@ FIELDS: list[str] = list(_FILE["environments"]["A"])
 
 
 def display_name(algorithm: str) -> str:
-    return ALGORITHMS.get(algorithm, algorithm.upper())
+    name, dash, kind = algorithm.partition("-")
+    return f"{ALGORITHMS.get(name, name.upper())}{dash}{kind}"
 
 
 def by_algorithm() -> dict[tuple[str, str], Numbers]:
