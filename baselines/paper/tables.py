@@ -90,10 +90,11 @@ class PaperTable:
     def text(self, statistics: Sequence[str] = tuple(STATISTICS)) -> TextTable:
         title, _, unit, unit_name, digits = KINDS[self.kind]
 
-        def word(number: float, source: str) -> str:
-            if np.isnan(number):
-                return DASH if source == "paper" else MISSING
-            return f"{number:,.{digits}f}"
+        def word(numbers: Series, setting: str, source: str) -> str:
+            if not np.isnan(numbers[setting, source]):
+                return f"{numbers[setting, source]:,.{digits}f}"
+            unpublished = setting in published.SETTINGS and np.isnan(numbers[setting, "paper"])
+            return DASH if unpublished else MISSING
 
         wide = (self.cells / unit).stack(future_stack=True).unstack(["setting", "source"])
         order = MultiIndex.from_product([self.cells.index.unique("row"), statistics])
@@ -101,7 +102,7 @@ class PaperTable:
             (
                 self._shown(name) if statistic == statistics[0] else "",
                 statistic,
-                *(word(numbers[column], column[1]) for column in COLUMNS),
+                *(word(numbers, *column) for column in COLUMNS),
             )
             for (name, statistic), numbers in wide.reindex(order).iterrows()
         ]
@@ -207,7 +208,10 @@ def _per_setting(
     trainings: Trainings, caption: str, shown: Callable[[DataFrame], str]
 ) -> TextTable:
     table = trainings.runs.groupby(CELL[:2]).apply(shown, include_groups=False).unstack()
-    table = table.reindex(trainings.algorithms, columns=list(published.REPORTED)).fillna(MISSING)
+    table = table.reindex(trainings.algorithms, columns=list(published.REPORTED)).astype(object)
+    ours = table.index.difference(published.ALGORITHMS)
+    table.loc[ours, published.SETTINGS] = table.loc[ours, published.SETTINGS].fillna(DASH)
+    table = table.fillna(MISSING)
     lines = [(published.display_name(name), *cells) for name, *cells in table.itertuples()]
     headings = (f"{setting}{marked(setting)}" for setting in published.REPORTED)
     return TextTable(caption, ("algorithm", *headings), lines)

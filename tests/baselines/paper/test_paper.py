@@ -91,13 +91,17 @@ def test_the_moving_mean_is_over_the_latest_hundred_episodes(tmp_path):
 
 
 def test_missing_cells_say_so_and_setting_n_is_marked_as_ours(tmp_path):
-    make_run(tmp_path, [(1, 5e5, 0, 5e5, 5e5)], setting="N")
+    for algorithm in ("ppo", "mappo"):
+        make_run(tmp_path, [(1, 5e5, 0, 5e5, 5e5)], setting="N", algorithm=algorithm)
     page = report(tmp_path)
     heading = "| A paper | A here | B paper | B here | C paper | C here | N here, ours |"
     assert page.count(heading) == 1
     assert (
         "| PPO | mean | -0.2128 | missing | -0.1807 | missing | -0.3310 | missing | 0.5000 |"
     ) in page
+    runs, table = (f"| MAPPO {'| - ' * 3}| 1 x 1k |", f"| MAPPO | mean {'| - ' * 6}| 0.5000 |")
+    shown = page.replace(tables.DASH, "-")
+    assert runs in shown and table in shown, "the paper has no MAPPO"
     assert "curves_N.png" in page and not (tmp_path / "out" / "curves_A.png").exists()
     table = tmp_path / "out" / "algorithms.csv"
     assert cells(table, "TQC", "A", "here", "single episodes") == [["1e6 reward", "", "", "", ""]]

@@ -1,5 +1,8 @@
 """CrossQ of sbx: torch's networks are those that JAX has learned."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -26,3 +29,16 @@ def test_networks_in_torch_are_those_of_jax():
     values = model.qf.apply(variables, seen, theirs)
     critics = learner.policy.network.critic(torch.as_tensor(seen), torch.as_tensor(theirs))
     np.testing.assert_allclose(torch.stack(critics).detach(), values, rtol=1e-4, atol=1e-5)
+
+
+def test_a_trained_policy_acts_without_jax(tiny_runs):
+    run = tiny_runs.finished("crossq-sbx")
+    code = """
+import sys
+from pathlib import Path
+sys.modules |= {"jax": None, "sbx": None}
+from baselines.policies.load import load_trained
+from baselines.runs.folder import RunFolder
+load_trained(RunFolder.open(Path(sys.argv[1])))
+"""
+    subprocess.run([sys.executable, "-c", code, str(run.path)], check=True)
