@@ -196,9 +196,9 @@ class Runs:
 
     def run(self, command_line: str) -> None:
         lines = [line_of(path) for path in run_folders(self.folders, print, comparisons=True)]
-        headings = ("run", "algorithm", "field", "seed", "state", "success", "makespan")
+        headings = ("run", "algorithm", "field", "seed", "success", "makespan", "state")
         caption = "sampled actions in the final evaluation, or the last one so far"
-        TextTable(caption, headings, lines, words=5).print("runs")
+        TextTable(caption, headings, lines).print("runs")
 
 
 def line_of(path: Path) -> tuple[str, ...]:
@@ -214,6 +214,6 @@ def line_of(path: Path) -> tuple[str, ...]:
                 last = run.evaluations[-1]
             cells = shown(last["success_rate"], "{:.1%}"), shown(last["makespan"], "{:.1f}")
             who = str(asked["algorithm"]), Path(asked["field"]).stem, str(asked["seed"])
-            return name, *who, run.state, *cells
+            return name, *who, *cells, run.state
     except MbnError as error:
-        return name, "-", "-", "-", str(error).removeprefix(f"{path}/"), "-", "-"
+        return name, *("-" * 5), str(error).removeprefix(f"{path}/")

@@ -137,9 +137,9 @@ def test_runs_are_listed_with_their_state(tmp_path, capsys, refusal, monkeypatch
         if "-field_03-7-" in line
     }
     end = {name: line.split(maxsplit=1)[1].split() for name, line in lines.items()}
-    assert end["finished"] == ["mappo", "field_03", "7", "finished", "50.0%", "20.0"]
-    assert end["going"] == ["mappo", "field_03", "7", "300", "of", "400", "env-steps", "25.0%", "-"]
-    assert end["begun"] == ["mappo", "field_03", "7", "begun", "-", "-"]
+    assert end["finished"] == ["mappo", "field_03", "7", "50.0%", "20.0", "finished"]
+    assert end["going"] == ["mappo", "field_03", "7", "25.0%", "-", "300", "of", "400", "env-steps"]
+    assert end["begun"] == ["mappo", "field_03", "7", "-", "-", "begun"]
     assert "success_rate" in lines["damaged"]
     assert "nowhere" in refusal(["runs", "nowhere"])
 
