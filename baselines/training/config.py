@@ -152,6 +152,8 @@ def problems_of(request: Mapping[str, Any]) -> list[str]:
         elif setting != "C" and begins and algorithm.package == "sb3":
             others = "for mappo, ippo and ppo-joint"
             problems.append(f"from: allowed under setting C, not {setting}, and {others}")
+        if name == "crossq-sbx" and request.get("device") == "cuda":
+            problems.append("device: JAX chooses that of crossq-sbx; allowed: cpu")
     return problems
 
 
