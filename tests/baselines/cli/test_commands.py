@@ -95,7 +95,7 @@ def test_train_records_the_run_and_evaluate_repeats_its_evaluation(tmp_path, ref
         ("train ppo field_02 --from x", ["from: "]),
         ("train ppo-shared field_02 --setting A", ["setting: "]),
         ("train ppo field_02 --num-envs 0", ["num_envs: "]),
-        ("train crossq-sbx field_02 --device cuda", ["device: "]),
+        ("train crossq-sbx field_02 --device cuda", ["device: JAX"]),
         ("train ippo field_02 --set num_worlds=70000 hidden=[99999]", ["num_worlds", "hidden"]),
         ("train ppo field_02 --hyperparams x.yaml", ["x.yaml: "]),
         ("train ppo field_02 --resume --out x", ["x is not a run folder"]),
