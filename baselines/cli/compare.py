@@ -92,8 +92,8 @@ class Report(Writes):
     """The statistics of `mbn compare`, on runs that are there already."""
     marl_eval: Path | None = None
     """With a comparison: also write a file of all evaluations that marl-eval reads."""
-    study: Path | None = None
-    """The folder of an `mbn tune`, to draw."""
+    study: tuple[Path, ...] = ()
+    """Folders of `mbn tune`, to put their best values and figures on the paper's page."""
     notes: Path | None = None
     """A Markdown file to put at the top of the page."""
 
@@ -105,7 +105,7 @@ class Report(Writes):
         inputs = [run.resolve() for run in self.runs]
         folder = Place.of(self.out, "").folder.resolve()
         # An earlier report has no runs in it, and may be replaced.
-        holds = any(folder.rglob("config.json"))
+        holds = any(folder.rglob("field.yaml"))
         lost = folder in inputs and (self.comparison or holds)
         lost |= any(folder in run.parents or (holds and run in folder.parents) for run in inputs)
         wrong = {

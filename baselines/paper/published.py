@@ -18,6 +18,10 @@ ALGORITHMS: dict[str, str] = {name.lower(): name for name in _FILE["algorithms"]
 SETTINGS: list[str] = list(_FILE["environments"])
 REPORTED: list[Setting] = ["A", "B", "C", "N"]
 """The paper's settings, and ours beside them."""
+RANGES: dict[str, tuple[float, float]] = {
+    name: tuple(ends) for name, ends in _FILE["optuna_ranges"].items()
+}
+TRIAL_STEPS: int = _FILE["protocol"]["optuna_timesteps"]
 FIELDS: list[str] = list(_FILE["environments"]["A"])
 
 
@@ -48,7 +52,11 @@ def _numbers(cell: dict[str, float], unit: float) -> Numbers:
     return {name: cell[key] * unit for name, key in STATISTICS.items()}
 
 
+def tuned_values(algorithm: str) -> dict[str, float]:
+    values: dict[str, float] = _FILE["optuna_hyperparameters"][ALGORITHMS[algorithm]]
+    return values
+
+
 def tuning_ranges(algorithm: str) -> dict[str, tuple[float, float]]:
     """The hyperparameters that the paper tuned for an algorithm, with the ends of their ranges."""
-    names = _FILE["optuna_hyperparameters"][ALGORITHMS[algorithm]]
-    return {name: tuple(_FILE["optuna_ranges"][name]) for name in names}
+    return {name: RANGES[name] for name in tuned_values(algorithm)}

@@ -1,6 +1,5 @@
 """The report on the paper's experiments: a Markdown page, tables and figures."""
 
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -16,6 +15,7 @@ from baselines.compare.records import ordered
 from baselines.compare.text_table import DASH, csv_text
 from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published, tables
+from baselines.paper.studies import PICTURES, Study, best_values
 from baselines.paper.tables import KINDS, MISSING, PAGE
 from baselines.paper.trainings import ROWS_FILE, RUNS_FILE, Trainings, find_trainings
 from baselines.runs.files import Place, RunError, read_text, write_provenance, write_text
@@ -31,14 +31,14 @@ def write_report(
     out: Path,
     *,
     command: str,
-    study: Path | None = None,
+    study: Sequence[Path] = (),
     notes: Path | None = None,
     force: bool = False,
     note: Callable[[str], None] = lambda text: None,
 ) -> Place:
     """Write the report on the runs at ``paths``: run folders, folders that hold some, or reports.
 
-    ``study`` is the folder of a study of hyperparameters, ``notes`` a Markdown file for the top. A
+    ``study`` has folders of studies of hyperparameters, ``notes`` is a Markdown file for the top. A
     RunError names what cannot be read, or what is at ``out`` already.
     """
     preface = "" if notes is None else read_text(notes).strip()
@@ -50,12 +50,14 @@ def write_report(
         **{f"A_against_{name}": against(trainings, "A", name) for name in OTHERS},
         "fields": figures.fields_figure([load_field(name) for name in published.FIELDS]),
     }
-    copied = {} if study is None else study_pictures(study)
+    studies = [Study.read(folder) for folder in study]
+    if len({one.name for one in studies}) < len(studies):
+        raise RunError("study: each folder must have another name")
     place = Place.of(out, "paper.md")
     place.claim(force=force)
     trainings.save(place.folder)
-    for name, path in copied.items():
-        shutil.copy(path, place.folder / f"{name}.png")
+    for one in studies:
+        one.save(place.folder)
     for name, figure in drawn.items():
         if figure is not None:
             figures.save(figure, place.folder / f"{name}.png")
@@ -66,12 +68,17 @@ def write_report(
         latex = [table.text().latex(f"tab:{kind}s-{table.sample}") for table in same]
         write_text(place.folder / f"{kind}s.tex", "\n".join(latex))
     write_provenance(place.folder, command)
-    write_text(place.page, _page(trainings, {**drawn, **copied}, place, command, preface))
+    write_text(place.page, _page(trainings, studies, drawn, place, command, preface))
     return place
 
 
 def _page(
-    trainings: Trainings, drawn: Mapping[str, object], place: Place, command: str, preface: str
+    trainings: Trainings,
+    studies: Sequence[Study],
+    drawn: Mapping[str, object],
+    place: Place,
+    command: str,
+    preface: str,
 ) -> str:
     def picture(name: str, title: str) -> str:
         if drawn.get(name) is None:
@@ -85,7 +92,7 @@ def _page(
         summary = SETTINGS[setting].summary
         return summary if setting in published.SETTINGS else f"ours: {summary}"
 
-    (first,) = (one for one in tables.paper_tables(trainings) if (one.kind, one.sample) == PAGE)
+    paper = {t.kind: t.text() for t in tables.paper_tables(trainings) if t.sample == PAGE}
     reported = {name: meaning(name) for name in published.REPORTED}
     mean = "Mean over the fields that algorithms share, as in the rankings, 95 % band over fields"
     shown = [
@@ -93,6 +100,14 @@ def _page(
         *(picture(f"curves_{one}", f"Setting {one}: {text}") for one, text in reported.items()),
     ]
     pairs = [picture(f"A_against_{name}", f"Setting A against {name}") for name in OTHERS]
+    tuning = [best_values(studies).markdown()] if studies else []
+    for study in studies:
+        tuning.append(f"{study.subject}, every trial: {links([f'{study.name}/trials.csv'])}.")
+        tuning += [
+            f"![{study.subject}: {title}]({place.link(f'{study.name}/{name}')})"
+            for name, title in PICTURES.items()
+            if name in study.contents
+        ]
     page = Template((files(__package__) / "page.md").read_text(encoding="utf-8")).substitute(
         notes=preface,
         source=published.SOURCE,
@@ -103,16 +118,14 @@ def _page(
         tables=links(TABLES),
         runs=links([RUNS_FILE, ROWS_FILE]),
         coverage=tables.coverage(trainings).markdown(),
-        algorithms=first.text(("mean",)).markdown(),
+        algorithms=paper["algorithm"].markdown(),
+        fields=paper["field"].markdown(),
         ranking=tables.ranking(trainings).markdown(),
         reached=tables.reached(trainings).markdown(),
         success=tables.success(trainings).markdown(),
         curves="\n\n".join(shown),
         against="\n\n".join(pairs),
-        study="\n\n".join(
-            picture(f"study_{name}", f"{title} of the study")
-            for name, title in (("history", "History"), ("importances", "Importances"))
-        ),
+        studies="\n\n".join(tuning) if studies else f"Studies: {MISSING}.",
         overview=picture("fields", "The ten fields, each to its scale"),
     )
     return page if preface else page.replace("\n\n\n\n", "\n\n", 1)
@@ -189,11 +202,3 @@ def against(trainings: Trainings, first: str, second: str) -> Figure | None:
     if not compared:
         return None
     return curves.pairs(compared, (f"setting {first}", f"setting {second}"))
-
-
-def study_pictures(study: Path) -> dict[str, Path]:
-    """Return the pictures that ``mbn tune`` made at the end of a study; a RunError without any."""
-    pictures = {f"study_{path.stem}": path for path in study.glob("*.png")}
-    if "study_history" not in pictures:
-        raise RunError(f"{study} has no history.png: mbn tune has finished no study there")
-    return pictures

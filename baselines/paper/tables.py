@@ -1,6 +1,6 @@
 """The paper's tables beside what the runs here give, and how both compare at a glance."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Self
 
@@ -40,7 +40,7 @@ SAMPLES = {
 """The evaluations that a number is taken over: in words, and how; by the end of LaTeX's label."""
 
 
-PAGE = ("algorithm", "means")  # the kind and the sample that the page shows
+PAGE = "means"  # the sample that the page shows
 
 KINDS = {
     "algorithm": (
@@ -87,7 +87,7 @@ class PaperTable:
         column = self.cells.xs((setting, source), level=("setting", "source"))["mean"]
         return column.dropna().sort_values(ascending=False, kind="stable")
 
-    def text(self, statistics: Sequence[str] = tuple(STATISTICS)) -> TextTable:
+    def text(self) -> TextTable:
         title, _, unit, unit_name, digits = KINDS[self.kind]
 
         def word(numbers: Series, setting: str, source: str) -> str:
@@ -97,10 +97,10 @@ class PaperTable:
             return DASH if unpublished else MISSING
 
         wide = (self.cells / unit).stack(future_stack=True).unstack(["setting", "source"])
-        order = MultiIndex.from_product([self.cells.index.unique("row"), statistics])
+        order = MultiIndex.from_product([self.cells.index.unique("row"), STATISTICS])
         lines = [
             (
-                self._shown(name) if statistic == statistics[0] else "",
+                self._shown(name) if statistic == "mean" else "",
                 statistic,
                 *(word(numbers, *column) for column in COLUMNS),
             )
@@ -183,7 +183,7 @@ def reached(trainings: Trainings) -> TextTable:
 
 def ranking(trainings: Trainings) -> TextTable:
     alike = trainings.alike()
-    (table,) = (one for one in paper_tables(alike) if (one.kind, one.sample) == PAGE)
+    (table,) = (t for t in paper_tables(alike) if (t.kind, t.sample) == ("algorithm", PAGE))
     lines = []
     for setting in published.SETTINGS:
         fields = set(alike.runs.field[alike.runs.setting == setting]) & set(published.FIELDS)
