@@ -11,7 +11,7 @@ from scipy.stats import kendalltau
 from baselines.compare.text_table import DASH, TextTable
 from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published
-from baselines.paper.published import STATISTICS
+from baselines.paper.published import REPORTED, STATISTICS
 from baselines.paper.trainings import CELL, Trainings
 
 MISSING = "missing"
@@ -55,7 +55,7 @@ KINDS = {
 """By the subject of a row: title, the paper's numbers by (row, setting), its unit and digits."""
 COLUMNS = [
     (setting, source)
-    for setting in published.REPORTED
+    for setting in REPORTED
     for source in ("paper", "here")
     if source == "here" or setting in published.SETTINGS
 ]
@@ -90,11 +90,8 @@ class PaperTable:
     def text(self) -> TextTable:
         title, _, unit, unit_name, digits = KINDS[self.kind]
 
-        def word(numbers: Series, setting: str, source: str) -> str:
-            if not np.isnan(numbers[setting, source]):
-                return f"{numbers[setting, source]:,.{digits}f}"
-            unpublished = setting in published.SETTINGS and np.isnan(numbers[setting, "paper"])
-            return DASH if unpublished else MISSING
+        def word(name: str, setting: str, number: float) -> str:
+            return absent(name, setting) if np.isnan(number) else f"{number:,.{digits}f}"
 
         wide = (self.cells / unit).stack(future_stack=True).unstack(["setting", "source"])
         order = MultiIndex.from_product([self.cells.index.unique("row"), STATISTICS])
@@ -102,7 +99,7 @@ class PaperTable:
             (
                 self._shown(name) if statistic == "mean" else "",
                 statistic,
-                *(word(numbers, *column) for column in COLUMNS),
+                *(word(name, column[0], numbers[column]) for column in COLUMNS),
             )
             for (name, statistic), numbers in wide.reindex(order).iterrows()
         ]
@@ -121,6 +118,12 @@ class PaperTable:
 
     def _shown(self, row: str) -> str:
         return published.display_name(row) if self.kind == "algorithm" else row
+
+
+def absent(name: str, setting: str) -> str:
+    """Return the word for a cell without a number: a dash if the paper has none there either."""
+    known = {*published.ALGORITHMS, *published.FIELDS}
+    return DASH if setting in published.SETTINGS and name not in known else MISSING
 
 
 def marked(setting: str) -> str:
@@ -156,7 +159,7 @@ def success(trainings: Trainings) -> TextTable:
 
     fields = trainings.field_names
     table = trainings.runs.groupby(CELL).apply(cell, include_groups=False).unstack()
-    index = MultiIndex.from_product([trainings.algorithms, published.REPORTED])
+    index = MultiIndex.from_product([trainings.algorithms, REPORTED])
     table = table.reindex(index.intersection(table.index, sort=False), columns=fields)
     lines = [
         (published.display_name(name), setting, *cells)
@@ -207,13 +210,12 @@ def ranking(trainings: Trainings) -> TextTable:
 def _per_setting(
     trainings: Trainings, caption: str, shown: Callable[[DataFrame], str]
 ) -> TextTable:
-    table = trainings.runs.groupby(CELL[:2]).apply(shown, include_groups=False).unstack()
-    table = table.reindex(trainings.algorithms, columns=list(published.REPORTED)).astype(object)
-    ours = table.index.difference(published.ALGORITHMS)
-    table.loc[ours, published.SETTINGS] = table.loc[ours, published.SETTINGS].fillna(DASH)
-    table = table.fillna(MISSING)
-    lines = [(published.display_name(name), *cells) for name, *cells in table.itertuples()]
-    headings = (f"{setting}{marked(setting)}" for setting in published.REPORTED)
+    table = trainings.runs.groupby(CELL[:2]).apply(shown, include_groups=False)
+    lines = [
+        (published.display_name(name), *(table.get((name, s), absent(name, s)) for s in REPORTED))
+        for name in trainings.algorithms
+    ]
+    headings = (f"{setting}{marked(setting)}" for setting in REPORTED)
     return TextTable(caption, ("algorithm", *headings), lines)
 
 
