@@ -21,6 +21,7 @@ REPORTED: list[Setting] = ["A", "B", "C", "N"]
 RANGES: dict[str, tuple[float, float]] = {
     name: tuple(ends) for name, ends in _FILE["optuna_ranges"].items()
 }
+TRIALS: int = _FILE["protocol"]["optuna_trials"]
 TRIAL_STEPS: int = _FILE["protocol"]["optuna_timesteps"]
 FIELDS: list[str] = list(_FILE["environments"]["A"])
 

@@ -188,6 +188,61 @@ def test_a_report_holds_its_runs_for_the_next_one(tmp_path, capsys):
         find_trainings([first])
 
 
+def make_study(folder: Path) -> Path:
+    folder.mkdir()
+    rows = ("0,COMPLETE,-5,0.9,1000", "1,COMPLETE,-3,0.95,95000", "2,PRUNED,-1,0.96,1", "3,FAIL,,,")
+    table = ("number,state,value,params_gamma,params_buffer_size", *rows)
+    (folder / "trials.csv").write_text("\n".join(table))
+    write_json(folder / "config.json", {"algorithm": "crossq", "field": "a/b.yaml", "steps": 1500})
+    (folder / "history.png").write_bytes(b"picture")
+    return folder
+
+
+def test_a_report_shows_and_keeps_studies(tmp_path):
+    run = make_run(tmp_path / "runs", [(1, 0, 0, 0, 0)])
+    study, out = make_study(tmp_path / "tuned"), tmp_path / "out"
+    words = ["report", "--force", "-o", str(out), "--paper"]
+    assert main([*words, str(run), "--study", str(study)]) == 0
+    first = (out / "paper.md").read_text().split("## Hyperparameters")[1]
+    paper = (
+        "| CrossQ on b | paper | 0.0013 | 0.953 | 0.959 | 0.531 | 0.0248 | 0.6072 | 95,000 | 20 |"
+    )
+    none = f"{tables.DASH} | {tables.DASH}"
+    assert f"{paper} 1,000,000 | {none} |" in first
+    here = f"|  | here | {tables.DASH} | 0.95 | {none} | {none} | 95,000 | 3 | 1,500 | 1 | -3 |"
+    assert here in first and "](tuned/history.png)" in first
+    # The report is an input of the one that replaces it.
+    assert main([*words, str(out), "--study", str(out / "tuned")]) == 0
+    assert (out / "paper.md").read_text().split("## Hyperparameters")[1] == first
+    for file in study.iterdir():
+        assert (out / "tuned" / file.name).read_bytes() == file.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("config.json", "crossq", "mappo"),
+        ("config.json", "1500", '"many"'),
+        ("trials.csv", "COMPLETE", "FAIL"),
+        ("trials.csv", "state", "ending"),
+        ("trials.csv", "-3", "three"),
+        ("trials.csv", None, None),
+        ("history.png", None, None),
+    ],
+)
+def test_a_broken_study_is_refused_before_anything_moves(name, old, new, tmp_path, refusal):
+    run = make_run(tmp_path / "runs", [(1, 0, 0, 0, 0)])
+    study, out = make_study(tmp_path / "tuned"), tmp_path / "out"
+    words = ["report", "--force", "--paper", str(run), "-o", str(out)]
+    assert main(words) == 0
+    if old is None:
+        (study / name).unlink()
+    else:
+        (study / name).write_text((study / name).read_text().replace(old, new))
+    assert str(study) in refusal([*words, "--study", str(study)])
+    assert (out / "paper.md").is_file() and not out.with_name("out.1").exists()
+
+
 def test_comparisons_and_what_was_moved_aside_are_left_out(tmp_path, capsys):
     run = make_run(tmp_path / "runs", [(1, 3e6, 0, 3e6, 3e6)])
     make_run(tmp_path / "old", [(1, 9e6, 0, 9e6, 9e6)]).rename(run.with_name(f"{run.name}.1"))
