@@ -15,10 +15,10 @@ from baselines.compare.records import ordered
 from baselines.compare.text_table import DASH, csv_text
 from baselines.evaluation.intervals import RETURN_THRESHOLD
 from baselines.paper import published, tables
-from baselines.paper.studies import PICTURES, Study, best_values
+from baselines.paper.studies import PICTURES, Study, best_values, read_studies
 from baselines.paper.tables import KINDS, MISSING, PAGE
 from baselines.paper.trainings import ROWS_FILE, RUNS_FILE, Trainings, find_trainings
-from baselines.runs.files import Place, RunError, read_text, write_provenance, write_text
+from baselines.runs.files import Place, read_text, write_provenance, write_text
 from mbn_marl.field import load_field
 from mbn_marl.render import figures
 
@@ -42,6 +42,7 @@ def write_report(
     RunError names what cannot be read, or what is at ``out`` already.
     """
     preface = "" if notes is None else read_text(notes).strip()
+    studies = read_studies(study)
     trainings = find_trainings(paths, note)
     reported = published.REPORTED
     drawn = {
@@ -50,9 +51,6 @@ def write_report(
         **{f"A_against_{name}": against(trainings, "A", name) for name in OTHERS},
         "fields": figures.fields_figure([load_field(name) for name in published.FIELDS]),
     }
-    studies = [Study.read(folder) for folder in study]
-    if len({one.name for one in studies}) < len(studies):
-        raise RunError("study: each folder must have another name")
     place = Place.of(out, "paper.md")
     place.claim(force=force)
     trainings.save(place.folder)

@@ -64,6 +64,24 @@ class Study:
             (folder / self.name / name).write_bytes(content)
 
 
+def read_studies(folders: Sequence[Path]) -> list[Study]:
+    """Read studies; a RunError names all that cannot be read, or that two have one name."""
+    studies: dict[str, Study] = {}
+    problems = []
+    for folder in folders:
+        try:
+            study = Study.read(folder)
+        except RunError as error:
+            problems.append(str(error))
+            continue
+        if study.name in studies:
+            problems.append(f"{folder}: another study has this name, and a report keeps both by it")
+        studies[study.name] = study
+    if problems:
+        raise RunError("\n".join(problems))
+    return [*studies.values()]
+
+
 def best_values(studies: Sequence[Study]) -> TextTable:
     """Return the best values of each study below those of the paper."""
     paper = [published.tuned_values(study.algorithm) for study in studies]

@@ -12,6 +12,7 @@ from pandas.testing import assert_frame_equal
 from baselines.cli import main
 from baselines.paper import tables
 from baselines.paper.report import mean_panels, panels
+from baselines.paper.studies import Study
 from baselines.paper.trainings import find_trainings, first_reach, read_progress
 from baselines.runs.files import RunError, write_json
 from baselines.runs.folder import RunFolder
@@ -230,17 +231,27 @@ def test_a_report_shows_and_keeps_studies(tmp_path):
         ("history.png", None, None),
     ],
 )
-def test_a_broken_study_is_refused_before_anything_moves(name, old, new, tmp_path, refusal):
-    run = make_run(tmp_path / "runs", [(1, 0, 0, 0, 0)])
-    study, out = make_study(tmp_path / "tuned"), tmp_path / "out"
-    words = ["report", "--force", "--paper", str(run), "-o", str(out)]
-    assert main(words) == 0
+def test_a_broken_study_is_refused_by_place(name, old, new, tmp_path):
+    study = make_study(tmp_path / "tuned")
     if old is None:
         (study / name).unlink()
     else:
         (study / name).write_text((study / name).read_text().replace(old, new))
-    assert str(study) in refusal([*words, "--study", str(study)])
-    assert (out / "paper.md").is_file() and not out.with_name("out.1").exists()
+    with pytest.raises(RunError, match=str(study)):
+        Study.read(study)
+
+
+def test_all_broken_studies_are_named_before_anything_moves(tmp_path, refusal):
+    run = make_run(tmp_path / "runs", [(1, 0, 0, 0, 0)])
+    for name in ("one", "two"):
+        (make_study(tmp_path / name) / "trials.csv").unlink()
+    page = tmp_path / "out" / "paper.md"
+    page.parent.mkdir()
+    page.touch()
+    error = refusal(
+        ["report", "--force", "--paper", str(run), "-o", "out", "--study", "one", "good", "two"]
+    )
+    assert all(f"{name} has no" in error for name in ("one", "good", "two")) and page.is_file()
 
 
 def test_comparisons_and_what_was_moved_aside_are_left_out(tmp_path, capsys):

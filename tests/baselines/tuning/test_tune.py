@@ -90,7 +90,9 @@ def test_tune_writes_what_setting_b_reads(study, tmp_path, refusal):
     best = " | ".join(f"{values[name]:.4g}" for name in published.RANGES if name in values)
     assert f"|  | here | {best} | 1 | {CONFIG.steps:,} | 0 | {float(row['value']):,.0f} |" in page
     same = str(tmp_path / "out" / "study")
-    assert "another name" in refusal([*words, "--force", "--study", str(study), same])
+    assert "another study has this name" in refusal(
+        [*words, "--force", "--study", str(study), same]
+    )
 
 
 def test_resume_keeps_finished_trials_and_replaces_an_interrupted_one(tmp_path):
